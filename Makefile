@@ -1,0 +1,83 @@
+# Needs make and Python 3.11 or newer; everything else comes from requirements.lock into .venv.
+# Variables: PYTHON (interpreter that makes .venv), EPIPRIOR_WORKERS (processes; default: all cores), PORT (of `make ui`).
+
+SHELL := /bin/sh
+.DEFAULT_GOAL := help
+.PHONY: help repro test lint format ui check-lock lock wheel clean
+
+find-python = for python in python3.11 python3.12 python3.13 python3 python; do \
+	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && echo "$$python" && break; done
+ifndef PYTHON
+PYTHON := $(shell $(find-python))
+endif
+PORT ?= 5000
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/package.stamp
+
+export PATH := $(CURDIR)/$(BIN):$(PATH)
+export DVC_NO_ANALYTICS := 1
+export MLFLOW_DISABLE_TELEMETRY := true
+export DO_NOT_TRACK := 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+unexport PYTHONPATH PYTHONHOME
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+repro: $(READY)  ## make the whole study: scenes, models, evaluation, reports
+	$(BIN)/dvc repro
+	@echo
+	@echo "Report   reports/index.html"
+	@for file in reports/*.md reports/*.csv; do [ ! -f "$$file" ] || echo "Table    $$file"; done
+	@for file in reports/figures/*; do [ ! -f "$$file" ] || echo "Figure   $$file"; done
+	@echo "Models   models/paper, models/default"
+	@echo "MLflow   make ui, then http://127.0.0.1:$(PORT)"
+
+test: $(READY)  ## run all tests
+	$(BIN)/python -m pytest
+
+lint: $(READY)  ## check format, rules and types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: $(READY)  ## format the code, mend what ruff can mend
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+check-lock: $(READY)  ## check that dvc.lock belongs to this code, these parameters, models and reports
+	$(BIN)/epiprior-lab check-lock
+
+ui: $(READY)  ## open MLflow's page on http://127.0.0.1:$(PORT)
+	$(BIN)/mlflow ui --backend-store-uri sqlite:///mlflow.db --host 127.0.0.1 --port $(PORT)
+
+lock:  ## write requirements.lock anew from pyproject.toml (pins stay where they fit; LOCK_FLAGS=--upgrade moves them)
+	@$(check-python)
+	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && $(PYTHON) -m venv "$$folder" \
+		&& "$$folder/bin/python" -m pip install --quiet uv \
+		&& "$$folder/bin/uv" pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header \
+			--extra dev --output-file requirements.lock $(LOCK_FLAGS) pyproject.toml
+
+wheel: $(READY)  ## build the wheel, with the models in it, into dist/
+	$(BIN)/python -m pip wheel --no-deps --no-build-isolation --wheel-dir dist .
+
+clean:  ## remove data, DVC's cache and MLflow's records (models and reports stay)
+	rm -rf data .dvc/cache .dvc/tmp mlflow.db mlartifacts mlruns dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+# The environment is made anew when the lock changes, the package is installed again when its metadata changes.
+define check-python
+if ! "$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then \
+	echo "epiprior needs Python 3.11 or newer; found $(or $(PYTHON),none). Set PYTHON=/path/to/python3.11" >&2; exit 1; fi
+endef
+
+$(VENV)/lock.stamp: requirements.lock
+	@$(check-python)
+	"$(PYTHON)" -m venv --clear $(VENV)
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	@touch $@
+
+$(READY): $(VENV)/lock.stamp pyproject.toml
+	@mkdir -p models
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@

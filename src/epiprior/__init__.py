@@ -1,0 +1,95 @@
+"""Matches of two photographs with calibrated probabilities, and their fundamental matrix.
+
+>>> import epiprior
+>>> ranked = epiprior.rank_matches("left.jpg", "right.jpg")  # doctest: +SKIP
+>>> estimate = epiprior.estimate_fundamental("left.jpg", "right.jpg", estimator="usac")  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from importlib import import_module, metadata
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from epiprior.errors import (
+        EpipriorError,
+        EstimatorError,
+        FeatureError,
+        ImageError,
+        ModelError,
+        OutputError,
+        SettingsError,
+    )
+    from epiprior.estimate import estimate_fundamental
+    from epiprior.estimators import estimators
+    from epiprior.features import FeatureSettings
+    from epiprior.handover import HandOver
+    from epiprior.models import load_model
+    from epiprior.preprocess import rank_matches, snn_matches, standard_matches
+    from epiprior.presets import PreprocessSettings
+    from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
+
+__version__ = metadata.version("epiprior")
+
+# Names are imported when they are first used, so that `epiprior --help` need not wait for compiled libraries.
+_HOMES = {
+    "EpipriorError": "errors",
+    "EstimatorError": "errors",
+    "FeatureError": "errors",
+    "ImageError": "errors",
+    "ModelError": "errors",
+    "OutputError": "errors",
+    "SettingsError": "errors",
+    "FeatureSettings": "features",
+    "Features": "types",
+    "FundamentalEstimate": "types",
+    "HandOver": "handover",
+    "MatchSet": "types",
+    "PreprocessSettings": "presets",
+    "RankedMatches": "types",
+    "Status": "types",
+    "estimate_fundamental": "estimate",
+    "load_model": "models",
+    "rank_matches": "preprocess",
+    "snn_matches": "preprocess",
+    "standard_matches": "preprocess",
+}
+
+__all__ = [
+    "EpipriorError",
+    "EstimatorError",
+    "FeatureError",
+    "FeatureSettings",
+    "Features",
+    "FundamentalEstimate",
+    "HandOver",
+    "ImageError",
+    "MatchSet",
+    "ModelError",
+    "OutputError",
+    "PreprocessSettings",
+    "RankedMatches",
+    "SettingsError",
+    "Status",
+    "__version__",
+    "estimate_fundamental",
+    "estimators",
+    "load_model",
+    "rank_matches",
+    "snn_matches",
+    "standard_matches",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "estimators":  # the package, which lists the estimators when it is called
+        return import_module("epiprior.estimators")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,203 @@
+"""All estimators by name, and the one way to run them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from epiprior.chance import distinct_count
+from epiprior.errors import EstimatorError, FeatureError, SettingsError
+from epiprior.estimators import colmap, degensac, opencv, poselib
+from epiprior.estimators.protocol import SEED_LIMIT, Estimator, EstimatorSettings
+from epiprior.estimators.verdict import judge
+from epiprior.geometry import MIN_MATCHES, as_points, normalise_fundamental, sampson_distance
+from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
+
+_REGISTRY: dict[str, Estimator] = {
+    estimator.name: estimator
+    for backend in (opencv.ESTIMATORS, poselib.ESTIMATORS, degensac.ESTIMATORS, colmap.ESTIMATORS)
+    for estimator in backend
+}
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all estimators, installed or not."""
+    return tuple(_REGISTRY)
+
+
+def estimators() -> dict[str, str]:
+    """Return, for each estimator, ``available`` or the command that installs what it needs."""
+    return {name: estimator.missing() or "available" for name, estimator in _REGISTRY.items()}
+
+
+def licences() -> dict[str, str]:
+    """Return, for each estimator, the licence of its backend."""
+    return {name: estimator.licence for name, estimator in _REGISTRY.items()}
+
+
+def find_estimator(name: str) -> Estimator:
+    """Return the estimator called `name`, ready to run.
+
+    Raises
+    ------
+    EstimatorError
+        If there is none of that name, or its backend is not installed.
+    """
+    estimator = _REGISTRY.get(name)
+    if estimator is None:
+        raise EstimatorError(f"unknown estimator {name!r}, known: {', '.join(_REGISTRY)}")
+    missing = estimator.missing()
+    if missing:
+        raise EstimatorError(f"estimator {name} is not installed: {missing}")
+    return estimator
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A checked but not yet judged answer.
+
+    Parameters
+    ----------
+    F : ndarray, shape (3, 3), float64, or None
+        Normalised; None where `status` is not ``ok``.
+    status : Status
+        ``ok``, ``too_few_matches`` or ``no_model``.
+    message : str
+        Why not ``ok``.
+    iterations : int or None
+        Where the backend tells.
+    version : str
+        The backend's package and version.
+    seconds : float
+        Wall time.
+    """
+
+    F: FloatArray | None
+    status: Status
+    message: str
+    iterations: int | None
+    version: str
+    seconds: float
+
+
+def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None) -> Fit:
+    """Run one estimator and check that its matrix is finite and of rank 2; whether it means anything is left open.
+
+    Parameters
+    ----------
+    name : str
+        Name in the registry.
+    matches : MatchSet
+        Sorted best first. Of matches at identical points the first counts: repeated ones would make samples
+        singular, and count twice.
+    seed : int
+        >= 0; the same seed gives the same bytes.
+    settings : EstimatorSettings, optional
+        Threshold, confidence, cap on the iterations.
+
+    Raises
+    ------
+    EstimatorError
+        If the estimator is unknown or not installed.
+    FeatureError
+        If points are not finite or their numbers disagree.
+    SettingsError
+        If the seed is negative.
+    """
+    estimator = find_estimator(name)
+    if seed < 0:
+        raise SettingsError(f"seed is {seed}, expected at least 0")
+    distinct = _distinct(_checked(matches))
+    start = time.perf_counter()
+    count = distinct_count(distinct.x1, distinct.x2)
+    if count < MIN_MATCHES:
+        message = f"{count} distinct matches, at least {MIN_MATCHES} are needed"
+        return _no_fit(estimator, Status.TOO_FEW_MATCHES, message, start)
+    raw = estimator.fit(distinct, seed=int(seed) % SEED_LIMIT, settings=settings or EstimatorSettings())
+    F = None if raw.F is None else normalise_fundamental(raw.F)
+    if F is None:
+        return _no_fit(estimator, Status.NO_MODEL, "the estimator found no finite matrix of rank 2", start, raw.iterations)
+    seconds = time.perf_counter() - start
+    version = estimator.version()
+    return Fit(F=F, status=Status.OK, message="", iterations=raw.iterations, version=version, seconds=seconds)
+
+
+def run(
+    name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None
+) -> FundamentalEstimate:
+    """Run one estimator on the matches as handed over.
+
+    Mask, support, rank and status are epiprior's own, whatever the backend says.
+
+    Parameters
+    ----------
+    name : str
+        Name in the registry, see `estimators`.
+    matches : MatchSet
+        Sorted best first.
+    seed : int
+        >= 0.
+    settings : EstimatorSettings, optional
+        Threshold, confidence, cap on the iterations.
+
+    Returns
+    -------
+    FundamentalEstimate
+        Over all of `matches`.
+
+    Raises
+    ------
+    EstimatorError, FeatureError, SettingsError
+        As `fit` does.
+    """
+    settings = settings or EstimatorSettings()
+    found = fit(name, matches, seed=seed, settings=settings)
+    F, status, message = found.F, found.status, found.message
+    if F is not None:
+        status, message = judge(F, matches.x1, matches.x2, settings.threshold_px)
+    if F is None or status is not Status.OK:
+        F, inliers = None, np.zeros(len(matches), dtype=np.bool_)
+    else:
+        inliers = sampson_distance(F, matches.x1, matches.x2) < settings.threshold_px
+    return FundamentalEstimate(
+        status=status,
+        F=F,
+        x1=matches.x1,
+        x2=matches.x2,
+        inliers=inliers,
+        support=int(inliers.sum()),
+        iterations=found.iterations,
+        estimator=name,
+        version=found.version,
+        roll_deg=matches.roll_deg,
+        message=message,
+        seconds={"estimator": found.seconds},
+    )
+
+
+def _checked(matches: MatchSet) -> MatchSet:
+    x1, x2 = as_points("x1", matches.x1), as_points("x2", matches.x2)
+    if len(x1) != len(x2):
+        raise FeatureError(f"x1 holds {len(x1)} points and x2 {len(x2)}, expected as many")
+    return replace(matches, x1=x1, x2=x2)
+
+
+def _distinct(matches: MatchSet) -> MatchSet:
+    """Return the first of every group of matches at identical points, in the order of the ranking."""
+    _, first = np.unique(np.column_stack([matches.x1, matches.x2]), axis=0, return_index=True)
+    return matches if len(first) == len(matches) else matches.take(np.sort(first))
+
+
+def _no_fit(
+    estimator: Estimator, status: Status, message: str, start: float, iterations: int | None = None
+) -> Fit:
+    return Fit(
+        F=None,
+        status=status,
+        message=message,
+        iterations=iterations,
+        version=estimator.version(),
+        seconds=time.perf_counter() - start,
+    )

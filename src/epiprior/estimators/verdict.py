@@ -1,0 +1,39 @@
+"""epiprior's own look at what a backend returned: the mask, whether it means anything, whether anything decides it."""
+
+from __future__ import annotations
+
+from epiprior.chance import beyond_chance, chance_rate, distinct_count
+from epiprior.degeneracy import why_degenerate
+from epiprior.geometry import MIN_MATCHES, sampson_distance
+from epiprior.types import FloatArray, Status
+
+_MATCHES_PER_F = 7
+
+
+def judge(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> tuple[Status, str]:
+    """Return the status that F deserves on the matches it was estimated from, and why.
+
+    Parameters
+    ----------
+    F : ndarray, shape (3, 3)
+        Normalised.
+    x1, x2 : ndarray, shape (N, 2), float64
+        Inliers and outliers, pixels.
+    threshold_px : float
+        On the Sampson distance.
+
+    Returns
+    -------
+    tuple of Status and str
+        ``no_model`` below 8 distinct inliers or where chance would give as many (`epiprior.chance`);
+        ``degenerate`` where they leave F undecided (`epiprior.degeneracy`); else ``ok``.
+    """
+    inliers = sampson_distance(F, x1, x2) < threshold_px
+    distinct = distinct_count(x1[inliers], x2[inliers])
+    if distinct < MIN_MATCHES:
+        return Status.NO_MODEL, f"only {distinct} distinct inliers, at least {MIN_MATCHES} are needed"
+    rate = chance_rate(F, x1, x2, threshold_px)
+    if not beyond_chance(distinct, distinct_count(x1, x2), rate, _MATCHES_PER_F):
+        return Status.NO_MODEL, f"{distinct} distinct inliers of {len(x1)} matches are no more than chance gives"
+    why = why_degenerate(F, x1, x2, threshold_px=threshold_px, rate=rate)
+    return (Status.DEGENERATE, why) if why else (Status.OK, "")

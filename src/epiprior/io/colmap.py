@@ -1,0 +1,222 @@
+"""Estimates as a COLMAP database, from which COLMAP or pycolmap maps without matching anything itself.
+
+COLMAP puts the centre of the top-left pixel at (0.5, 0.5): that half pixel is added here and nowhere else.
+Its mapper reads ``two_view_geometries``, yet counts a pair only where ``matches`` holds it too. So both are
+written.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from epiprior.errors import ImageError, OutputError
+from epiprior.io.output import check_output, replacing
+from epiprior.types import FloatArray, FundamentalEstimate, IntArray
+
+_HALF_PIXEL = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColmapPair:
+    """Two image files and what was estimated for them.
+
+    Parameters
+    ----------
+    image1, image2 : Path
+        The files, not the same one twice.
+    estimate : FundamentalEstimate
+        Its matches are written; its F and inliers too where its status is ``ok``.
+    """
+
+    image1: Path
+    image2: Path
+    estimate: FundamentalEstimate
+
+
+def write_colmap_database(
+    path: str | Path, pairs: Sequence[ColmapPair], *, image_root: str | Path | None = None
+) -> None:
+    """Write keypoints, matches and two-view geometries of image pairs to a new COLMAP database.
+
+    Parameters
+    ----------
+    path : str or Path
+        The database; must not exist.
+    pairs : sequence of ColmapPair
+        Each pair of images at most once, in either order.
+    image_root : str or Path, optional
+        The folder that image names are relative to: what COLMAP calls ``image_path``. By default the deepest
+        folder that holds all images.
+
+    Raises
+    ------
+    OutputError
+        If pycolmap is not installed, `path` exists or cannot be written, or a pair is there twice.
+    ImageError
+        If an image is missing, lies outside `image_root`, or carries a rotation in its EXIF data: COLMAP,
+        which does not turn images, would see other coordinates.
+
+    Notes
+    -----
+    An estimate carries locations only, so features of one image at the very same location (float32) become
+    one keypoint. That links the pairs of an image into tracks. Matches are made one-to-one, inliers first, in
+    the order of the estimate. Every image gets its own camera, with COLMAP's guess of the focal length.
+    """
+    path = Path(path)
+    pycolmap = check_colmap_output(path)
+    pairs = [replace(p, image1=_absolute(p.image1), image2=_absolute(p.image2)) for p in pairs]
+    _check_pairs(path, pairs)
+    images = sorted({image for pair in pairs for image in (pair.image1, pair.image2)})
+    names = _names(images, image_root)
+    keypoints, indices = _keypoints(images, pairs)
+    with replacing(path) as partial:
+        database = pycolmap.Database.open(partial)
+        try:
+            ids = {
+                image: _write_image(pycolmap, database, image, names[image], keypoints[image])
+                for image in images
+            }
+            for pair, (index1, index2) in zip(pairs, indices, strict=True):
+                _write_pair(
+                    pycolmap, database, pair.estimate, (ids[pair.image1], ids[pair.image2]), (index1, index2)
+                )
+        except RuntimeError as error:
+            raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
+        finally:
+            database.close()
+
+
+def check_colmap_output(path: Path) -> ModuleType:
+    """Return pycolmap, or raise OutputError, before any work is done, where `path` can never be written."""
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise OutputError(
+            f"{path}: a COLMAP database needs pycolmap: pip install 'pycolmap>=4,<5'"
+        ) from error
+    check_output(path)
+    if path.exists():
+        raise OutputError(f"{path}: exists already; a database is not overwritten")
+    return pycolmap  # type: ignore[no-any-return, unused-ignore]
+
+
+def _absolute(image: Path) -> Path:
+    # Links stay links: an image is named as the user names it, wherever its bytes are.
+    return Path(os.path.abspath(image))  # noqa: PTH100
+
+
+def _check_pairs(path: Path, pairs: Sequence[ColmapPair]) -> None:
+    seen: set[frozenset[Path]] = set()
+    for pair in pairs:
+        key = frozenset((pair.image1, pair.image2))
+        if len(key) < 2:
+            raise OutputError(f"{path}: {pair.image1} is paired with itself")
+        if key in seen:
+            raise OutputError(f"{path}: the pair {pair.image1}, {pair.image2} is there twice")
+        seen.add(key)
+
+
+def _names(images: Sequence[Path], image_root: str | Path | None) -> dict[Path, str]:
+    """Return the images' names relative to their root, after checking that COLMAP will see them as we do."""
+    for image in images:
+        if not image.is_file():
+            raise ImageError(f"{image}: no such image file")
+        _check_upright(image)
+    if image_root is not None:
+        root = _absolute(Path(image_root))
+    else:
+        root = Path(os.path.commonpath([image.parent for image in images])) if images else Path()
+    for image in images:
+        if not image.is_relative_to(root):
+            raise ImageError(f"{image}: lies outside the image folder {root}")
+    return {image: image.relative_to(root).as_posix() for image in images}
+
+
+def _check_upright(image: Path) -> None:
+    import cv2
+
+    turned = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
+    stored = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    if turned is None or stored is None:
+        raise ImageError(f"{image}: not an image that OpenCV can read")
+    if not np.array_equal(turned, stored):
+        raise ImageError(
+            f"{image}: is turned by its EXIF orientation, which COLMAP ignores; save it upright first"
+        )
+
+
+def _keypoints(
+    images: Sequence[Path], pairs: Sequence[ColmapPair]
+) -> tuple[dict[Path, FloatArray], list[tuple[IntArray, IntArray]]]:
+    """Return each image's distinct locations, and for each pair the two indices of every match into them."""
+    sides = [
+        (image, points.astype(np.float32))
+        for pair in pairs
+        for image, points in ((pair.image1, pair.estimate.x1), (pair.image2, pair.estimate.x2))
+    ]
+    keypoints: dict[Path, FloatArray] = {}
+    parts: list[IntArray] = [np.empty(0, np.int64)] * len(sides)
+    for image in images:
+        mine = [i for i, (other, _) in enumerate(sides) if other == image]
+        locations, inverse = np.unique(
+            np.concatenate([sides[i][1] for i in mine]), axis=0, return_inverse=True
+        )
+        keypoints[image] = locations.astype(np.float64)
+        ends = np.cumsum([len(sides[i][1]) for i in mine])[:-1]
+        for i, part in zip(mine, np.split(inverse.reshape(-1), ends), strict=True):
+            parts[i] = part.astype(np.int64)
+    return keypoints, list(zip(parts[::2], parts[1::2], strict=True))
+
+
+def _write_image(pycolmap: Any, database: Any, image: Path, name: str, keypoints: FloatArray) -> int:
+    """Write an image with its camera, its own rig and frame, and its keypoints; return its id."""
+    camera = pycolmap.infer_camera_from_image(image)
+    camera.camera_id = database.write_camera(camera)
+    rig = pycolmap.Rig()
+    rig.add_ref_sensor(camera.sensor_id)
+    rig_id = database.write_rig(rig)
+    image_id: int = database.write_image(pycolmap.Image(name=name, camera_id=camera.camera_id))
+    frame = pycolmap.Frame()
+    frame.rig_id = rig_id
+    frame.add_data_id(database.read_image(image_id).data_id)
+    database.write_frame(frame)
+    database.write_keypoints(image_id, (keypoints + _HALF_PIXEL).astype(np.float32))
+    return image_id
+
+
+def _write_pair(
+    pycolmap: Any,
+    database: Any,
+    estimate: FundamentalEstimate,
+    ids: tuple[int, int],
+    indices: tuple[IntArray, IntArray],
+) -> None:
+    from epiprior.handover import one_to_one_mask
+
+    index1, index2 = indices
+    order = np.argsort(~estimate.inliers, kind="stable")
+    order = order[one_to_one_mask(index1[order], index2[order])]
+    matches = np.column_stack([index1, index2])[order].astype(np.uint32)
+    if not len(matches):
+        return
+    database.write_matches(*ids, matches)
+    if estimate.F is None:
+        return
+    geometry = pycolmap.TwoViewGeometry()
+    geometry.config = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
+    geometry.F = fundamental_for_colmap(estimate.F)
+    geometry.inlier_matches = matches[: np.count_nonzero(estimate.inliers[order])]
+    database.write_two_view_geometry(*ids, geometry)
+
+
+def fundamental_for_colmap(F: FloatArray) -> FloatArray:
+    """Return `F`, shape (3, 3), for points half a pixel further right and down: COLMAP's pixels."""
+    T = np.array([[1.0, 0.0, -_HALF_PIXEL], [0.0, 1.0, -_HALF_PIXEL], [0.0, 0.0, 1.0]])
+    return np.asarray(T.T @ F @ T)

@@ -1,0 +1,74 @@
+"""Files that appear as a whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from epiprior.errors import OutputError
+
+PICTURES = (".png", ".jpg", ".jpeg")
+
+
+def check_output(path: Path, suffixes: Sequence[str] = ()) -> None:
+    """Raise OutputError, before any work is done, where `path` can never be written.
+
+    Parameters
+    ----------
+    path : Path
+        The file to be written.
+    suffixes : sequence of str
+        The suffixes that are known, lower case; none: any.
+
+    Raises
+    ------
+    OutputError
+        If the suffix is unknown, the folder is missing, or `path` is a folder.
+    """
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise OutputError(f"{path}: unknown suffix {path.suffix!r}, known: {', '.join(suffixes)}")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder")
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a file beside `path` to write to; it takes the place of `path` once all went well.
+
+    Yields
+    ------
+    Path
+        An empty file in the same folder. After an exception it is removed and `path` is as before.
+
+    Raises
+    ------
+    OutputError
+        For any OSError inside (no space, no permission, ...); the message names `path` and the reason.
+    """
+    partial: Path | None = None
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
+        os.close(handle)
+        partial = Path(name)
+        yield partial
+        # mkstemp makes files for the owner alone; a result is an ordinary file.
+        partial.chmod(0o666 & ~_umask())
+        partial.replace(path)
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        if partial is not None:
+            partial.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,89 @@
+"""What the command line prints: lines for people, JSON for programs."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from epiprior.types import FundamentalEstimate
+
+
+def complain(text: str) -> None:
+    """Print one line on stderr, whatever the text."""
+    typer.echo(f"epiprior: {' '.join(text.split())}", err=True)
+
+
+def print_json(value: Any) -> None:
+    """Print JSON, with null for every number that JSON does not have."""
+    typer.echo(json.dumps(_finite(value), indent=2, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
+    """Print rows below a header; on a narrow terminal cells are wrapped."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(*header, title=title, title_justify="left")
+    for row in rows:
+        # Square brackets in a cell are text, not markup.
+        table.add_row(*map(escape, row))
+    Console().print(table)
+
+
+def entries(value: Any, name: str = "") -> list[tuple[str, str]]:
+    """Return nested mappings as rows of a dotted name and a value; a list is one value."""
+    if isinstance(value, Mapping):
+        below = (entries(inner, f"{name}.{key}" if name else str(key)) for key, inner in value.items())
+        return [row for rows in below for row in rows]
+    if isinstance(value, list | tuple):
+        return [(name, ", ".join(str(item) for item in value))]
+    return [(name, f"{value:.4g}" if isinstance(value, float) else str(value))]
+
+
+def summary(found: FundamentalEstimate) -> str:
+    """Return an estimate in one line."""
+    support = f"{found.estimator}: {found.status.value}, support {found.support} of {len(found.x1)} matches"
+    return f"{support}; {found.message}" if found.message else support
+
+
+def print_estimate(found: FundamentalEstimate) -> None:
+    """Print an estimate for people."""
+    typer.echo(summary(found))
+    if found.F is not None:
+        for row in found.F.tolist():
+            typer.echo("  ".join(f"{value: .9e}" for value in row))
+    typer.echo(f"roll {found.roll_deg:.0f} deg; {found.version}; {sum(found.seconds.values()):.2f} s")
+
+
+def estimate_as_json(found: FundamentalEstimate, preset: str | None, seed: int) -> dict[str, Any]:
+    """Return an estimate as JSON's types; `preset` is None where nothing was preprocessed."""
+    return {
+        "status": found.status.value,
+        "F": None if found.F is None else found.F.tolist(),
+        "support": int(found.support),
+        "matches": len(found.x1),
+        "iterations": None if found.iterations is None else int(found.iterations),
+        "estimator": found.estimator,
+        "version": found.version,
+        "preset": preset,
+        "roll_deg": float(found.roll_deg),
+        "seed": seed,
+        "seconds": {step: float(value) for step, value in found.seconds.items()},
+        "message": found.message,
+    }

@@ -1,0 +1,242 @@
+"""The values that pass between the steps of the method.
+
+Conventions, everywhere: points are ``(N, 2)`` float64 pixels of the image as given, the centre of the
+top-left pixel at (0, 0); ``x2' F x1 = 0``; residuals are unsquared pixels; scale is the sigma of the feature in
+pixels; public angles are degrees, clockwise as seen on the screen (y points down), in [0, 360).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epiprior.errors import FeatureError
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+EMPTY_MAPPING: Mapping[str, Any] = MappingProxyType({})
+
+
+def _require(name: str, value: NDArray[Any], shape: tuple[int | None, ...]) -> None:
+    """Raise FeatureError unless `value` has `shape` (None: any length) and holds only finite numbers."""
+    if value.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, value.shape, strict=True)):
+        wanted = ", ".join("N" if want is None else str(want) for want in shape)
+        raise FeatureError(f"{name} has shape {value.shape}, expected ({wanted})")
+    if value.dtype.kind == "f" and not np.isfinite(value).all():
+        bad = int(np.flatnonzero(~np.isfinite(value).reshape(len(value), -1).all(axis=1))[0])
+        raise FeatureError(f"{name} holds a NaN or infinite value, first in row {bad}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """Local features of one image (paper, section 4.1).
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2), float64
+        Locations, pixels.
+    scale : ndarray, shape (N,), float64
+        Sigma, pixels, > 0. OpenCV's keypoint ``size`` is two sigma.
+    orientation_deg : ndarray, shape (N,), float64
+        Orientation, degrees in [0, 360).
+    descriptors : ndarray, shape (N, D), float32
+        Descriptors at the features' own orientation; for SIFT as OpenCV gives them, not normalised.
+    image_size : tuple of int
+        Width and height of the image, pixels.
+
+    Raises
+    ------
+    FeatureError
+        If shapes disagree, a value is not finite, or a scale is not positive.
+    """
+
+    xy: FloatArray
+    scale: FloatArray
+    orientation_deg: FloatArray
+    descriptors: Float32Array
+    image_size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        for name, dtype in (
+            ("xy", np.float64),
+            ("scale", np.float64),
+            ("orientation_deg", np.float64),
+            ("descriptors", np.float32),
+        ):
+            try:
+                value = np.ascontiguousarray(getattr(self, name), dtype=dtype)
+            except (TypeError, ValueError) as error:
+                raise FeatureError(f"features: {name} is not an array of numbers: {error}") from error
+            object.__setattr__(self, name, value)
+        n = len(self.xy)
+        _require("features: xy", self.xy, (None, 2))
+        _require("features: scale", self.scale, (n,))
+        _require("features: orientation_deg", self.orientation_deg, (n,))
+        _require("features: descriptors", self.descriptors, (n, None))
+        if n and float(self.scale.min()) <= 0:
+            raise FeatureError(f"features: scale must be positive, row {int(self.scale.argmin())} is {self.scale.min()}")
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def take(self, index: IntArray) -> Features:
+        """Return the features at `index`, in that order."""
+        return replace(
+            self,
+            xy=self.xy[index],
+            scale=self.scale[index],
+            orientation_deg=self.orientation_deg[index],
+            descriptors=self.descriptors[index],
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchSet:
+    """Putative matches with everything that is known of them, sorted best first.
+
+    Parameters
+    ----------
+    x1, x2 : ndarray, shape (N, 2), float64
+        Matched locations, pixels of the given images.
+    scale1, scale2 : ndarray, shape (N,), float64
+        Sigma of both features, pixels.
+    orientation1_deg, orientation2_deg : ndarray, shape (N,), float64
+        Orientation of both features, degrees.
+    feature1, feature2 : ndarray, shape (N,), int64
+        Index of the matched features; a feature may take part in many matches.
+    probability : ndarray, shape (N,), float64
+        Probability that the match is right, in [0, 1]. For standard matches, which carry none, it is NaN.
+    supporting_matrices : ndarray, shape (N,), int64
+        How many rough fundamental matrices the match supports: the paper's ``sfm`` (section 4.5); 0 if none.
+    distance_ratio : ndarray, shape (N,), float64
+        Ratio d_r of the angles to the nearest and the second nearest descriptor (section 4.1); 1 if missing.
+    similarity_weight : ndarray, shape (N,), float64
+        Similarity weight t_k of BLOGS (section 4.1); 0 if missing.
+    similarity : ndarray, shape (N,), float64
+        Normalised cross-correlation of the descriptors at their own orientation, in [-1, 1].
+    two_keypoint_probability : ndarray, shape (N,), float64
+        Highest probability of the 2keypoint matches that hold the match (section 4.4); 0 if none does.
+    roll_deg : float
+        The roll hypothesis alpha under which X was made (section 4.2), degrees.
+    rough_matrices : ndarray, shape (M, 3, 3), float64
+        The rough fundamental matrices that voted (section 4.5); empty for standard matches.
+    """
+
+    x1: FloatArray
+    x2: FloatArray
+    scale1: FloatArray
+    scale2: FloatArray
+    orientation1_deg: FloatArray
+    orientation2_deg: FloatArray
+    feature1: IntArray
+    feature2: IntArray
+    probability: FloatArray
+    supporting_matrices: IntArray
+    distance_ratio: FloatArray
+    similarity_weight: FloatArray
+    similarity: FloatArray
+    two_keypoint_probability: FloatArray
+    roll_deg: float = 0.0
+    rough_matrices: FloatArray = field(default_factory=lambda: np.empty((0, 3, 3)), repr=False)
+
+    def __len__(self) -> int:
+        return len(self.x1)
+
+    def take(self, index: IntArray | BoolArray | slice) -> MatchSet:
+        """Return the matches at `index` (indices, a mask or a slice), in that order."""
+        columns = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in _NOT_COLUMNS}
+        return replace(self, **columns)
+
+    def one_to_one(self) -> MatchSet:
+        """Walk down the ranking and drop every match whose feature, in either image, was used before."""
+        from epiprior.handover import one_to_one_mask
+
+        return self.take(one_to_one_mask(self.feature1, self.feature2))
+
+
+_NOT_COLUMNS = frozenset({"roll_deg", "rough_matrices"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class RankedMatches:
+    """What `rank_matches` returns.
+
+    Parameters
+    ----------
+    sets : tuple of MatchSet
+        One per roll hypothesis (section 4.2), each sorted best first.
+    standard : MatchSet
+        X_L, the baseline, ordered by distance ratio; it was needed anyway.
+    seconds : mapping of str to float
+        Wall time per step.
+    preset : str
+        Name of the preset.
+    """
+
+    sets: tuple[MatchSet, ...]
+    standard: MatchSet
+    seconds: Mapping[str, float]
+    preset: str
+
+
+class Status(StrEnum):
+    """Outcome of an estimation."""
+
+    OK = "ok"
+    TOO_FEW_MATCHES = "too_few_matches"
+    NO_MODEL = "no_model"
+    DEGENERATE = "degenerate"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FundamentalEstimate:
+    """A fundamental matrix, or why there is none.
+
+    Parameters
+    ----------
+    status : Status
+        ``ok``, ``too_few_matches``, ``no_model`` or ``degenerate``.
+    F : ndarray, shape (3, 3), float64, or None
+        ``x2' F x1 = 0``; rank 2, Frobenius norm 1, largest entry positive. None unless `status` is ``ok``.
+    x1, x2 : ndarray, shape (N, 2), float64
+        The matches over which support was collected, pixels.
+    inliers : ndarray, shape (N,), bool
+        Which of them lie within the threshold of `F`, recomputed by epiprior; all False without `F`.
+    support : int
+        Number of inliers.
+    iterations : int or None
+        Hypotheses drawn, where the backend tells.
+    estimator, version : str
+        Name in the registry, and the backend's package and version.
+    roll_deg : float
+        The roll hypothesis that won, degrees.
+    message : str
+        For a reader: why `status` is not ``ok``; empty otherwise.
+    seconds : mapping of str to float
+        Wall time per step.
+    """
+
+    status: Status
+    F: FloatArray | None
+    x1: FloatArray
+    x2: FloatArray
+    inliers: BoolArray
+    support: int
+    estimator: str
+    version: str = ""
+    iterations: int | None = None
+    roll_deg: float = 0.0
+    message: str = ""
+    seconds: Mapping[str, float] = field(default_factory=lambda: EMPTY_MAPPING)
+
+    def __bool__(self) -> bool:
+        return self.status is Status.OK

@@ -1,0 +1,1 @@
+"""Workspace that makes the models of epiprior and their evidence."""

@@ -1,0 +1,85 @@
+"""Tell whether ``dvc.lock`` belongs to this code, these parameters and these committed results.
+
+``dvc status`` answers that only where the data are present. A clean clone has none, so this check asks DVC
+for the hashes of what git holds (code, parameters, models, reports), and compares cached data by what the lock
+says of them: a stage must have read what the stage before it wrote.
+"""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from epiprior.errors import EpipriorError
+
+
+class LockError(EpipriorError):
+    """The pipeline's files cannot be read, or there is no lock."""
+
+
+def check_lock(root: Path) -> dict[str, list[str]]:
+    """Compare ``dvc.lock`` with the working tree.
+
+    Parameters
+    ----------
+    root : Path
+        Root of the repository: the folder of ``.dvc`` and ``dvc.yaml``.
+
+    Returns
+    -------
+    dict
+        Stage name to the differences found, such as ``"src/epiprior: modified"``; empty if the lock belongs
+        to the tree. Data in DVC's cache are not looked at, so they need not be there.
+
+    Raises
+    ------
+    LockError
+        If there is no ``dvc.lock``, or DVC cannot read the pipeline.
+    """
+    os.environ["DVC_NO_ANALYTICS"] = "1"
+    from dvc.exceptions import DvcException
+    from dvc.repo import Repo
+
+    if not (root / "dvc.lock").is_file():
+        raise LockError(f"{root / 'dvc.lock'}: no such file; run the pipeline and commit it")
+    try:
+        with Repo(str(root)) as repo:
+            stages = [stage for stage in repo.index.stages if stage.path_in_repo == "dvc.yaml"]
+            cached = {Path(out.fs_path): out for stage in stages for out in stage.outs if out.use_cache}
+            found = {stage.name: sorted(_differences(stage, cached, root.resolve())) for stage in stages}
+            found |= {name: ["in dvc.lock, not in dvc.yaml"] for name in _locked_names(root) - found.keys()}
+    except DvcException as error:
+        raise LockError(f"{root}: DVC cannot read the pipeline: {error}") from error
+    return {name: lines for name, lines in found.items() if lines}
+
+
+def _differences(stage: Any, cached: dict[Path, Any], root: Path) -> Iterator[str]:
+    """Yield what differs between a stage in the lock and in the tree."""
+    if stage.cmd_changed:
+        yield "command: modified"
+    for entry in (*stage.deps, *stage.outs):
+        path = Path(entry.fs_path)
+        writer = cached.get(path)
+        if writer is not None:
+            if not entry.hash_info:
+                yield f"{entry}: not in dvc.lock"
+            elif entry.hash_info != writer.hash_info:
+                yield f"{entry}: the lock says that its stage wrote {writer.hash_info.value}"
+        elif path.is_relative_to(root) and not any(path.is_relative_to(folder) for folder in cached):
+            yield from _described(entry.workspace_status())
+
+
+def _described(status: dict[str, Any], prefix: str = "") -> Iterator[str]:
+    """Flatten DVC's status, which is nested for parameters."""
+    for name, value in status.items():
+        if isinstance(value, dict):
+            yield from _described(value, f"{name}: ")
+        else:
+            yield f"{prefix}{name}: {value}"
+
+
+def _locked_names(root: Path) -> set[str]:
+    import yaml
+
+    document = yaml.safe_load((root / "dvc.lock").read_text(encoding="utf-8")) or {}
+    return set(document.get("stages", {}))

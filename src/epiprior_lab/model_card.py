@@ -1,0 +1,113 @@
+"""The README of a model folder: what the model is, what it was trained on, how good it is, its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_FAMILY_WORDS = {
+    "tree": "a decision tree like C4.5: splits by entropy, Laplace-smoothed leaves",
+    "random-forest": "a random forest",
+    "svm": "a support vector machine with Gaussian kernel and Platt's sigmoid",
+    "lightgbm": "gradient-boosted trees of LightGBM",
+}
+_TARGET_WORDS = {
+    "two_keypoint": "a match of 2keypoints (pairs of close features) consists of right matches",
+    "match": "a match of two features is right",
+}
+_METRIC_WORDS = {
+    "precision_top_100": "precision of the top 100 per pair",
+    "average_precision": "average precision per pair",
+    "accuracy": "accuracy at 0.5",
+    "precision": "precision at 0.5",
+    "log_loss": "log loss",
+    "brier_score": "Brier score",
+    "expected_calibration_error": "expected calibration error",
+}
+_MEASURES = ("mean", "deviation", "calibrated", "ungrouped")
+
+_CARD = """\
+# epiprior model `{name}`
+
+Two classifiers that give putative matches of two photographs their probability of being right. epiprior
+loads them for the preset `{preset}`. Anything that runs ONNX can: each takes `rows`, float32 (N, C), and gives
+`probability`, float32 (N,), not calibrated yet; the calibrated one is `sigmoid(a * logit(probability) + b)`.
+
+| file | gives the probability that | is | columns | a | b |
+|---|---|---|---|---|---|
+{files}
+
+## Training data
+
+{data[pairs]} pairs of {data[scenes]} rendered scenes; labels from depth and visibility.
+{data[two_keypoint_rows]} matches of 2keypoints, {data[two_keypoint_right]} of them right, and
+{data[match_rows]} matches, {data[match_right]} of them right. The sha256 of all rows and labels is
+`{data[sha256]}`.
+
+## Measures
+
+Cross-validation grouped by scene: no scene is in training and test at once. The second classifier was trained
+and tested on votes of a first one that never saw the scene. A pair counts once per roll hypothesis. `mean` is
+over all rows or pairs, `deviation` over the folds, `calibrated` after Platt scaling fitted on the other folds.
+`ungrouped` deals rows out to folds one by one, as the paper does: what it shows above `mean` is leakage.
+
+{tables}
+
+## Columns, in order
+
+{columns}
+
+## Limits
+
+- The columns must be computed by epiprior with the parameters of the preset `{preset}`, which the manifest
+  lists. Other features need another model.
+- Probabilities are calibrated on rendered pairs. On photographs, those of hard pairs may be too high: wrong
+  rough matrices support the matches that they were made from.
+- Scenes are rigid and lenses without distortion. Moving things and mirrors are not in the training data.
+
+## Versions
+
+{versions}
+"""
+
+
+def model_card(manifest: Mapping[str, Any]) -> str:
+    """Return the text of the card.
+
+    Parameters
+    ----------
+    manifest : mapping
+        The manifest, but for the hashes of the files.
+
+    Returns
+    -------
+    str
+        Markdown.
+    """
+    return _CARD.format(
+        name=manifest["name"],
+        preset=manifest["preset"],
+        data=manifest["training_data"],
+        files="\n".join(_file_row(target, manifest[target]) for target in _TARGET_WORDS),
+        tables="\n\n".join(_table(target, manifest[target]["metrics"]) for target in _TARGET_WORDS),
+        columns="\n".join(
+            f"- `{target}`: {', '.join(manifest[target]['features'])}" for target in _TARGET_WORDS
+        ),
+        versions=", ".join(f"{library} {number}" for library, number in manifest["library_versions"].items()),
+    )
+
+
+def _file_row(target: str, item: Mapping[str, Any]) -> str:
+    family = _FAMILY_WORDS.get(item["family"], item["family"])
+    a, b = item["calibration"]["a"], item["calibration"]["b"]
+    count = len(item["features"])
+    return f"| `{target}.onnx` | {_TARGET_WORDS[target]} | {family} | {count} | {a:.4f} | {b:.4f} |"
+
+
+def _table(target: str, metrics: Mapping[str, Any]) -> str:
+    """Return the table of one classifier; a measure that is not defined shows as a dash."""
+    lines = [f"`{target}`", "", f"| measure | {' | '.join(_MEASURES)} |", "|---|---|---|---|---|"]
+    for name, words in _METRIC_WORDS.items():
+        values = (metrics.get(name, {}).get(key) for key in _MEASURES)
+        lines.append(f"| {words} | {' | '.join('-' if v is None else f'{v:.4f}' for v in values)} |")
+    return "\n".join(lines)

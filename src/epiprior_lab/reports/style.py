@@ -1,0 +1,137 @@
+"""One look for all figures: colours that colour-blind readers tell apart, quiet axes, and the same bytes every time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+INK = "#2b2f36"
+MUTED = "#7a828e"
+GRID = "#e6e8ec"
+
+_RC: Any = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": "#b4bac4",
+    "axes.grid": True,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9,
+    "axes.linewidth": 0.8,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 6,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "figure.facecolor": "white",
+    "figure.titlesize": 12,
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "grid.color": GRID,
+    "grid.linewidth": 0.8,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    "lines.linewidth": 1.8,
+    "lines.solid_capstyle": "round",
+    "savefig.dpi": 150,
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "xtick.labelsize": 8,
+    "xtick.major.size": 0,
+    "xtick.minor.size": 0,
+    "ytick.color": MUTED,
+    "ytick.labelsize": 8,
+    "ytick.major.size": 0,
+    "ytick.minor.size": 0,
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one series is drawn.
+
+    Parameters
+    ----------
+    label : str
+        Its name for a reader.
+    colour : str
+        From the palette of Okabe and Ito, or grey.
+    line : str or tuple
+        Line style of matplotlib, a second cue beside the colour.
+    marker : str
+        Marker, a third.
+    """
+
+    label: str
+    colour: str
+    line: Any = "-"
+    marker: str = "o"
+
+
+INPUT_LOOKS: Mapping[str, Look] = {
+    "standard": Look("standard (X_L)", "#8b919b", ":", "s"),
+    "snn": Look("snn", "#0072b2", "--", "D"),
+    "paper": Look("ours, as printed", "#e69f00", "-.", "^"),
+    "default": Look("ours, default", "#d55e00", "-", "o"),
+}
+
+RANKING_LOOKS: Mapping[str, Look] = {
+    "lowe": Look("Lowe (distance ratio)", "#8b919b", ":", "s"),
+    "blogs": Look("BLOGS (similarity weight)", "#56b4e9", "--", "D"),
+    "2keypoint": Look("2keypoints", "#009e73", "-.", "v"),
+    "sfm": Look("supporting F matrices", "#e69f00", (0, (5, 1)), "^"),
+    "final": Look("final probability", "#d55e00", "-", "o"),
+}
+
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8b919b", "#2b2f36")
+
+
+@contextmanager
+def styled(
+    rows: int, columns: int, size: tuple[float, float], *, sharex: bool = False, sharey: bool = False
+) -> Iterator[tuple[Figure, list[list[Axes]]]]:
+    """Yield a figure of `rows` x `columns` axes in the common style; save it inside.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Axes.
+    size : tuple of float
+        Width and height, inches.
+    sharex, sharey : bool
+        Whether all axes have the same limits.
+    """
+    with mpl.rc_context(_RC):
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
+        yield figure, [list(row) for row in axes]
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a PNG without the metadata that would change from one installation to the next."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, metadata={"Software": None})
+    return path
+
+
+def legend(figure: Figure, looks: Mapping[str, Look], names: list[str]) -> None:
+    """Put one legend for all axes above them."""
+    handles = [
+        Line2D([], [], color=looks[n].colour, linestyle=looks[n].line, label=looks[n].label) for n in names
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=2.6)
+
+
+def look_of(looks: Mapping[str, Look], name: str, index: int) -> Look:
+    """Return the look of a known series, or one from the palette for another."""
+    return looks.get(name) or Look(name, SERIES[index % len(SERIES)])

@@ -1,0 +1,208 @@
+"""Training rows: what the library computes of a pair before any classifier, with labels from the ground truth.
+
+The rows of the first classifier (2kpmd) are stored as they are. Those of the second (kpmd) depend on the first: they
+are computed by `match_rows` from stored parts and from probabilities of a first classifier that never saw the scene.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from epiprior import preprocess
+from epiprior.frames import MatchFrames
+from epiprior.presets import PreprocessSettings, find_preset
+from epiprior.probabilities import StandardTable, Union
+from epiprior.two_keypoints import TwoKeypointMatches
+from epiprior.types import BoolArray, Float32Array, FloatArray
+from epiprior_lab.datasets import Pair
+from epiprior_lab.ground_truth import label_matches
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairRows:
+    """Rows and labels of one pair under one roll hypothesis.
+
+    Parameters
+    ----------
+    pair_id, scene : str
+        Of the pair.
+    preset : str
+        Whose features they are.
+    roll_deg : float
+        The hypothesis.
+    frames : MatchFrames
+        Of the rows of X.
+    labels : ndarray, shape (len(X),), bool
+        Which rows of X are right.
+    two_keypoints : TwoKeypointMatches
+        Matches of 2keypoints with their descriptors 2kpmd.
+    table : StandardTable
+        X_L and X_B.
+    united : UnitedMatches
+        X, X_L and X_B together.
+    united_labels : ndarray, shape (M,), bool
+        Which of them are right.
+    """
+
+    pair_id: str
+    scene: str
+    preset: str
+    roll_deg: float
+    frames: MatchFrames
+    labels: BoolArray
+    two_keypoints: TwoKeypointMatches
+    table: StandardTable
+    united: preprocess.UnitedMatches
+    united_labels: BoolArray
+
+    @property
+    def two_keypoint_columns(self) -> tuple[str, ...]:
+        """Names of the columns of `two_keypoint`."""
+        return self.two_keypoints.columns
+
+    @property
+    def two_keypoint(self) -> Float32Array:
+        """Descriptors 2kpmd, shape (T, C)."""
+        return self.two_keypoints.descriptors
+
+    @property
+    def two_keypoint_labels(self) -> BoolArray:
+        """Which 2keypoint matches consist of right matches only, shape (T,)."""
+        return self.labels[self.two_keypoints.main] & self.labels[self.two_keypoints.other]
+
+
+def extract_rows(pair: Pair, preset: str) -> list[PairRows]:
+    """Run the library up to the first classifier on one pair, under every roll hypothesis, and label the matches."""
+    settings = find_preset(preset)
+    prepared = preprocess.prepare_pair(pair.image1, pair.image2, settings)
+    out = []
+    for roll_deg in preprocess.roll_hypotheses(prepared, settings):
+        candidates = preprocess.find_candidates(prepared, roll_deg, settings)
+        united = preprocess.unite_matches(prepared, candidates)
+        out.append(
+            PairRows(
+                pair_id=pair.pair_id,
+                scene=pair.scene,
+                preset=preset,
+                roll_deg=roll_deg,
+                frames=candidates.frames,
+                labels=_labels(pair, prepared, candidates.frames),
+                two_keypoints=candidates.two_keypoints,
+                table=prepared.table,
+                united=united,
+                united_labels=_labels(pair, prepared, united.frames),
+            )
+        )
+    return out
+
+
+def _labels(pair: Pair, prepared: preprocess.PreparedPair, frames: MatchFrames) -> BoolArray:
+    """Label matches; the frames are in working pixels, the ground truth in pixels of the images as given."""
+    given, factors = [], []
+    for x, to_working in zip((frames.x1, frames.x2), prepared.to_working, strict=True):
+        inverse = np.linalg.inv(to_working)
+        given.append(x @ inverse[:2, :2].T + inverse[:2, 2])
+        factors.append(float(np.sqrt(inverse[0, 0] * inverse[1, 1])))
+    return label_matches(pair, *given, frames.scale1 * factors[0], frames.scale2 * factors[1])
+
+
+def match_columns(preset: str) -> tuple[str, ...]:
+    """Return the columns of kpmd that the preset uses."""
+    return find_preset(preset).match_columns
+
+
+def match_rows(rows: PairRows, probability: FloatArray) -> tuple[Float32Array, BoolArray]:
+    """Let the rough fundamental matrices vote, and return kpmd with labels.
+
+    Parameters
+    ----------
+    rows : PairRows
+        Of one pair.
+    probability : ndarray, shape (T,), float64
+        Of each 2keypoint match, from a classifier that was not trained on this scene.
+
+    Returns
+    -------
+    rows : ndarray, shape (M, C), float32
+        Columns as `match_columns` names them.
+    labels : ndarray, shape (M,), bool
+        Which matches are right.
+    """
+    settings: PreprocessSettings = find_preset(rows.preset)
+    votes = preprocess.cast_votes(rows.frames, rows.two_keypoints, probability, settings)
+    table = preprocess.describe_matches(rows.united, rows.table, rows.two_keypoints, votes)
+    return table.select(settings.match_columns), rows.united_labels
+
+
+def _flatten(prefix: str, value: Any) -> dict[str, Any]:
+    return {f"{prefix}.{f.name}": getattr(value, f.name) for f in fields(value)}
+
+
+def _rebuild(cls: type[_T], prefix: str, stored: Any) -> _T:
+    values: dict[str, Any] = {}
+    for f in fields(cls):  # type: ignore[arg-type]
+        value = stored[f"{prefix}.{f.name}"]
+        values[f.name] = value if value.ndim else value.item()
+    return cls(**values)
+
+
+def rows_to_bytes(rows: PairRows) -> bytes:
+    """Serialise rows; the same rows give the same bytes."""
+    columns = {
+        "pair_id": rows.pair_id,
+        "scene": rows.scene,
+        "preset": rows.preset,
+        "roll_deg": rows.roll_deg,
+        "labels": rows.labels,
+        "united_labels": rows.united_labels,
+        "united.roll_error": rows.united.roll_error,
+        "united.scale_change": rows.united.scale_change,
+        **_flatten("frames", rows.frames),
+        **_flatten("two_keypoints", rows.two_keypoints),
+        **_flatten("table", rows.table),
+        **_flatten("union", rows.united.union),
+        **_flatten("united_frames", rows.united.frames),
+    }
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **{name: np.asarray(value) for name, value in columns.items()})
+    return buffer.getvalue()
+
+
+def load_rows(folder: Path) -> list[PairRows]:
+    """Read every stored pair of a folder, in the order of the files' names."""
+    return [_read(path) for path in sorted(folder.glob("*.npz"))]
+
+
+def _read(path: Path) -> PairRows:
+    with np.load(path, allow_pickle=False) as stored:
+        pairs = TwoKeypointMatches(
+            main=stored["two_keypoints.main"],
+            other=stored["two_keypoints.other"],
+            columns=tuple(str(name) for name in stored["two_keypoints.columns"]),
+            descriptors=stored["two_keypoints.descriptors"],
+        )
+        united = preprocess.UnitedMatches(
+            union=_rebuild(Union, "union", stored),
+            frames=_rebuild(MatchFrames, "united_frames", stored),
+            roll_error=stored["united.roll_error"],
+            scale_change=stored["united.scale_change"],
+        )
+        return PairRows(
+            pair_id=str(stored["pair_id"]),
+            scene=str(stored["scene"]),
+            preset=str(stored["preset"]),
+            roll_deg=float(stored["roll_deg"]),
+            frames=_rebuild(MatchFrames, "frames", stored),
+            labels=stored["labels"],
+            two_keypoints=pairs,
+            table=_rebuild(StandardTable, "table", stored),
+            united=united,
+            united_labels=stored["united_labels"],
+        )

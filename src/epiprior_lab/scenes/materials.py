@@ -1,0 +1,193 @@
+"""Materials: walls, roofs, pavements and foliage as tileable or large images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from epiprior.types import Float32Array
+from epiprior_lab.scenes.textures import crop, noise, surface, tinted
+from epiprior_lab.scenes.world import Image
+
+Masonry = Literal["brick", "ashlar", "plaster", "tiles", "planks", "rubble"]
+MASONRY: tuple[Masonry, ...] = ("brick", "ashlar", "plaster", "tiles", "planks", "rubble")
+Colour = tuple[float, float, float]
+
+WALL_COLOURS: tuple[Colour, ...] = (
+    (196, 178, 148), (168, 92, 68), (150, 74, 58), (182, 182, 176), (214, 196, 140), (202, 148, 118), (222, 216, 204),
+    (146, 138, 122), (164, 152, 132), (120, 124, 128), (188, 160, 120), (128, 98, 80), (176, 190, 180), (206, 186, 168),
+)  # fmt: skip
+ROOF_COLOURS: tuple[Colour, ...] = ((138, 70, 52), (92, 90, 94), (116, 64, 52), (74, 78, 88), (150, 96, 72))
+
+# Heights and widths of stones in metres, how much their tones differ, and how dark their joints are.
+_COURSES: dict[str, tuple[tuple[float, float], tuple[float, float], float, float]] = {
+    "brick": ((0.075, 0.12), (0.22, 0.34), 0.10, 0.16),
+    "ashlar": ((0.32, 0.6), (0.5, 1.1), 0.06, 0.22),
+    "tiles": ((0.25, 0.6), (0.25, 0.6), 0.04, 0.18),
+    "planks": ((0.12, 0.22), (1.5, 4.0), 0.09, 0.30),
+    "rubble": ((0.18, 0.3), (0.25, 0.6), 0.15, 0.28),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallStyle:
+    """What a wall is made of.
+
+    Parameters
+    ----------
+    masonry : str
+        One of `MASONRY`.
+    colour, second_colour : tuple of float
+        RGB, 0 to 255; the second shows in stains.
+    course_m, stone_m : float
+        Height and width of a stone, metres.
+    roughness : float
+        Deviation of brightness by unevenness, as a part of brightness.
+    stains : float
+        Deviation of brightness over metres.
+    """
+
+    masonry: Masonry
+    colour: Colour
+    second_colour: Colour
+    course_m: float
+    stone_m: float
+    roughness: float
+    stains: float
+
+
+def jittered(rng: np.random.Generator, colour: Colour, by: float) -> Colour:
+    """Return a colour near another: brightness and each channel changed by up to the part `by`."""
+    factor = 1.0 + rng.uniform(-by, by)
+    r, g, b = (float(np.clip(c * factor * (1 + rng.uniform(-by, by) / 2), 8, 245)) for c in colour)
+    return r, g, b
+
+
+def wall_style(rng: np.random.Generator, *, distinct: float) -> WallStyle:
+    """Draw a wall; the more `distinct` (0 to 1), the more stains and unevenness tell one place from another."""
+    masonry = MASONRY[int(rng.choice(len(MASONRY), p=[0.24, 0.22, 0.26, 0.08, 0.06, 0.14]))]
+    course, stone, *_ = _COURSES.get(masonry, ((1.0, 1.0), (1.0, 1.0)))
+    colour = jittered(rng, WALL_COLOURS[int(rng.integers(len(WALL_COLOURS)))], 0.12)
+    return WallStyle(
+        masonry=masonry,
+        colour=colour,
+        second_colour=jittered(rng, colour, 0.3),
+        course_m=float(rng.uniform(*course)),
+        stone_m=float(rng.uniform(*stone)),
+        roughness=float(rng.uniform(0.03, 0.06) + 0.08 * distinct * rng.uniform(0.5, 1.0)),
+        stains=float(rng.uniform(0.02, 0.05) + 0.10 * distinct * rng.uniform(0.5, 1.0)),
+    )
+
+
+def courses(
+    rng: np.random.Generator, height: int, width: int, *, course_px: float, stone_px: float, tones: float, joints: float,
+    regular: bool = True,
+) -> Float32Array:  # fmt: skip
+    """Return rows of stones with joints, shape (height, width), as deviations from brightness 1.
+
+    Stones are in bond when `regular`, else of random width and every row on its own.
+    """
+    relief = np.empty((height, width), dtype=np.float32)
+    edges = np.unique(np.rint(np.arange(0.0, height + course_px, course_px)).astype(int))
+    joint = max(1, round(0.07 * course_px))
+    columns = np.arange(width)
+    count = int(width / stone_px) + 4
+    for row, (top, bottom) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        widths = np.full(count, stone_px) if regular else stone_px * rng.uniform(0.5, 1.5, size=2 * count)
+        shift = (0.5 * (row % 2) if regular else rng.random()) * stone_px
+        borders = np.cumsum(widths) - shift
+        stone = np.searchsorted(borders, columns, side="right")
+        line = rng.normal(0.0, tones, size=len(widths) + 1).astype(np.float32)[stone]
+        relief[top:bottom] = line
+        starts = borders[borders < width].astype(int)
+        for offset in range(joint):
+            relief[top:bottom, np.clip(starts + offset, 0, width - 1)] = -joints
+        relief[top : top + joint] = -joints
+        relief[min(top + joint, height - 1)] += 0.3 * joints
+    return relief
+
+
+def wall(rng: np.random.Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float) -> Image:
+    """Return a wall, shape (height, width, 3), that repeats only what its masonry repeats."""
+    relief = style.roughness * surface(
+        rng, height, width, ("gravel", "grass", "tissue", "moon"), zoom=float(rng.uniform(0.5, 1.4))
+    )
+    relief += style.roughness * noise(rng, height, width, "fine")
+    stains = noise(rng, height, width, "coarse")
+    relief += style.stains * stains + 0.5 * style.stains * noise(rng, height, width, "middle")
+    if style.masonry in _COURSES:
+        _, _, tones, joints = _COURSES[style.masonry]
+        relief += courses(
+            rng, height, width,
+            course_px=max(3.0, style.course_m * texels_per_m), stone_px=max(5.0, style.stone_m * texels_per_m),
+            tones=tones, joints=joints, regular=style.masonry in ("brick", "tiles", "ashlar"),
+        )  # fmt: skip
+    elif rng.random() < 0.7:
+        _add_cracks(rng, relief, count=int(rng.integers(3, 12)))
+    mixture = np.clip(0.5 + 0.35 * stains, 0.0, 1.0)
+    return tinted(style.colour, relief, style.second_colour, mixture)
+
+
+def _add_cracks(rng: np.random.Generator, relief: Float32Array, *, count: int) -> None:
+    """Draw dark random walks into a relief."""
+    height, width = relief.shape
+    for _ in range(count):
+        steps = int(rng.integers(10, 60))
+        angle = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.45, size=steps))
+        path = np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]) * rng.uniform(3, 9), axis=0)
+        path += rng.uniform((0, 0), (width, height))
+        cv2.polylines(relief, [path.astype(np.int32)], False, float(-rng.uniform(0.15, 0.4)), int(rng.integers(1, 3)))
+
+
+def roof(rng: np.random.Generator, height: int, width: int, *, texels_per_m: float) -> Image:
+    """Return rows of roof tiles."""
+    colour = jittered(rng, ROOF_COLOURS[int(rng.integers(len(ROOF_COLOURS)))], 0.15)
+    relief = courses(
+        rng, height, width,
+        course_px=rng.uniform(0.2, 0.35) * texels_per_m, stone_px=rng.uniform(0.2, 0.35) * texels_per_m,
+        tones=0.12, joints=0.35,
+    )  # fmt: skip
+    relief += 0.08 * noise(rng, height, width, "middle") + 0.08 * noise(rng, height, width, "fine")
+    return tinted(colour, relief, (90, 96, 70), np.clip(0.25 * noise(rng, height, width, "coarse"), 0, 1))
+
+
+def pavement(rng: np.random.Generator, height: int, width: int, *, texels_per_m: float) -> Image:
+    """Return a floor: slabs, setts, asphalt, gravel or grass."""
+    kind = rng.choice(("slabs", "setts", "asphalt", "gravel", "grass"))
+    relief = 0.07 * noise(rng, height, width, "coarse") + 0.06 * noise(rng, height, width, "fine")
+    if kind == "grass":
+        relief += 0.28 * surface(rng, height, width, ("grass",), zoom=float(rng.uniform(0.5, 1.0)))
+        return tinted((104, 118, 62), relief, (150, 140, 84), np.clip(0.4 + 0.4 * noise(rng, height, width, "middle"), 0, 1))
+    grey = jittered(rng, (140, 134, 126), 0.2)
+    if kind in ("slabs", "setts"):
+        side = (rng.uniform(0.35, 0.8) if kind == "slabs" else rng.uniform(0.12, 0.2)) * texels_per_m
+        relief += courses(
+            rng, height, width, course_px=side, stone_px=side * rng.uniform(1.0, 1.6), tones=0.08, joints=0.3,
+            regular=bool(rng.random() < 0.6),
+        )  # fmt: skip
+    zoom = float(rng.uniform(0.2, 0.35) if kind == "asphalt" else rng.uniform(0.4, 0.8))
+    relief += (0.2 if kind == "gravel" else 0.07) * surface(rng, height, width, ("gravel",), zoom=zoom)
+    return tinted(grey, relief)
+
+
+def foliage(rng: np.random.Generator, side: int) -> Image:
+    """Return leaves with holes between them, shape (side, side, 4)."""
+    relief = 0.35 * surface(rng, side, side, ("grass", "gravel"), zoom=float(rng.uniform(0.5, 1.0)))
+    relief += 0.25 * noise(rng, side, side, "middle")
+    green = jittered(rng, (84, 104, 52), 0.25)
+    image = tinted(green, relief)
+    y, x = np.mgrid[-1:1:side * 1j, -1:1:side * 1j]  # type: ignore[misc]
+    density = 1.1 - np.hypot(x, y) * 1.35 + 0.35 * noise(rng, side, side, "middle") + 0.25 * noise(rng, side, side, "fine")
+    opacity = np.where(density > 0, 255, 0).astype(np.uint8)
+    return np.dstack([image, opacity])
+
+
+def ornament(rng: np.random.Generator, height: int, width: int, colour: Colour) -> Image:
+    """Return a carved relief in one colour, shape (height, width, 3): a part of a photograph turned to stone."""
+    carved = crop(rng, height, width, ("coins", "china", "flower", "motorcycle", "astronaut", "moon", "camera"), part=(0.2, 0.5))
+    grey = cv2.cvtColor(carved, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    grey -= grey.mean()
+    return tinted(colour, np.asarray(0.28 * grey / max(float(grey.std()), 4.0), dtype=np.float32))

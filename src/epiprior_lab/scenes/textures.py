@@ -1,0 +1,151 @@
+"""Raw material of textures: photographs that scikit-image and scikit-learn carry, and noise as nature has it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from importlib import resources
+from typing import Literal
+
+import cv2
+import numpy as np
+from PIL import Image as PillowImage
+from scipy import fft
+
+from epiprior.errors import ImageError
+from epiprior.types import Float32Array
+from epiprior_lab.scenes.world import Image
+
+Grain = Literal["fine", "middle", "coarse"]
+
+_FILES = {
+    "astronaut": ("skimage.data", "astronaut.png"),
+    "brick": ("skimage.data", "brick.png"),
+    "camera": ("skimage.data", "camera.png"),
+    "chelsea": ("skimage.data", "chelsea.png"),
+    "coffee": ("skimage.data", "coffee.png"),
+    "coins": ("skimage.data", "coins.png"),
+    "grass": ("skimage.data", "grass.png"),
+    "gravel": ("skimage.data", "gravel.png"),
+    "hubble": ("skimage.data", "hubble_deep_field.jpg"),
+    "tissue": ("skimage.data", "ihc.png"),
+    "moon": ("skimage.data", "moon.png"),
+    "motorcycle": ("skimage.data", "motorcycle_left.png"),
+    "page": ("skimage.data", "page.png"),
+    "rocket": ("skimage.data", "rocket.jpg"),
+    "text": ("skimage.data", "text.png"),
+    "china": ("sklearn.datasets.images", "china.jpg"),
+    "flower": ("sklearn.datasets.images", "flower.jpg"),
+}
+PICTURES = ("astronaut", "camera", "chelsea", "china", "coffee", "coins", "flower", "motorcycle", "rocket")
+"""Photographs with things in them: for posters, signs and what stands behind a window."""
+SURFACES = ("brick", "grass", "gravel", "tissue", "moon", "coffee", "china", "motorcycle")
+"""Photographs whose detail serves as the unevenness of a surface."""
+
+_EXPONENT: dict[Grain, float] = {"fine": 0.5, "middle": 1.0, "coarse": 1.7}
+_FIELD_SIDE = 2048
+
+
+@functools.cache
+def photograph(name: str) -> Image:
+    """Return a packaged photograph, shape (H, W, 3), RGB; do not write into it.
+
+    Raises
+    ------
+    ImageError
+        If the installed package does not carry the file.
+    """
+    package, file = _FILES[name]
+    try:
+        with resources.files(package).joinpath(file).open("rb") as stream, PillowImage.open(stream) as picture:
+            image = np.array(picture.convert("RGB"))
+    except (OSError, ModuleNotFoundError) as error:
+        raise ImageError(f"photograph {file!r} of package {package!r} cannot be read: {error}") from error
+    image.setflags(write=False)
+    return image
+
+
+@functools.cache
+def _noise_field(grain: Grain) -> Float32Array:
+    """Return a periodic random field of mean 0 and deviation 1 whose amplitude falls with frequency to the exponent."""
+    rng = np.random.default_rng(list(_EXPONENT).index(grain))
+    white = rng.standard_normal((_FIELD_SIDE, _FIELD_SIDE), dtype=np.float32)
+    spectrum = fft.rfft2(white)
+    frequency = np.hypot(fft.fftfreq(_FIELD_SIDE)[:, None], fft.rfftfreq(_FIELD_SIDE)[None]).astype(np.float32)
+    frequency[0, 0] = np.inf
+    field = fft.irfft2(spectrum * np.maximum(frequency, 2.0 / _FIELD_SIDE) ** -_EXPONENT[grain])
+    return np.ascontiguousarray((field / field.std()).astype(np.float32))
+
+
+def noise(rng: np.random.Generator, height: int, width: int, grain: Grain) -> Float32Array:
+    """Return a random window, shape (height, width), of a noise field of mean 0 and deviation 1; maybe mirrored."""
+    field = _noise_field(grain)
+    top, left = rng.integers(_FIELD_SIDE, size=2)
+    rows, columns = np.arange(top, top + height) % _FIELD_SIDE, np.arange(left, left + width) % _FIELD_SIDE
+    if top + height <= _FIELD_SIDE and left + width <= _FIELD_SIDE:
+        window = field[top : top + height, left : left + width]
+    else:
+        window = field[rows[:, None], columns[None]]
+    return window[:: rng.choice((-1, 1)), :: rng.choice((-1, 1))]
+
+
+def crop(
+    rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, part: tuple[float, float] = (0.3, 1.0)
+) -> Image:
+    """Return a random part of a random photograph at the wanted size, shape (height, width, 3).
+
+    Parameters
+    ----------
+    rng : Generator
+        Decides.
+    height, width : int
+        Size of the result, pixels.
+    names : sequence of str
+        Photographs to choose from.
+    part : tuple of float
+        Smallest and largest side of the crop as a part of the largest crop of that shape.
+    """
+    image = photograph(names[int(rng.integers(len(names)))])
+    rows, columns = image.shape[:2]
+    scale = min(rows / height, columns / width) * rng.uniform(*part)
+    h, w = max(2, int(height * scale)), max(2, int(width * scale))
+    top, left = int(rng.integers(rows - h + 1)), int(rng.integers(columns - w + 1))
+    window = image[top : top + h, left : left + w, :]
+    if rng.random() < 0.5:
+        window = window[:, ::-1]
+    how = cv2.INTER_AREA if h > height else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(np.ascontiguousarray(window), (width, height), interpolation=how), dtype=np.uint8)
+
+
+def surface(rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, zoom: float) -> Float32Array:
+    """Return the brightness of a photograph, tiled by mirroring, shape (height, width), mean 0 and deviation 1.
+
+    `zoom` texels per pixel of the photograph.
+    """
+    image = cv2.cvtColor(photograph(names[int(rng.integers(len(names)))]), cv2.COLOR_RGB2GRAY)
+    rows, columns = int(np.ceil(height / zoom)) + 1, int(np.ceil(width / zoom)) + 1
+    top, left = int(rng.integers(image.shape[0])), int(rng.integers(image.shape[1]))
+    r = _mirrored(np.arange(top, top + rows), image.shape[0])
+    c = _mirrored(np.arange(left, left + columns), image.shape[1])
+    window = cv2.resize(image[r[:, None], c[None]].astype(np.float32), None, fx=zoom, fy=zoom)[:height, :width]
+    window = cv2.resize(window, (width, height)) if window.shape != (height, width) else window
+    return np.asarray((window - window.mean()) / max(float(window.std()), 1.0), dtype=np.float32)
+
+
+def _mirrored(index: np.ndarray, length: int) -> np.ndarray:
+    """Fold indices into [0, length) as in a row of mirrors."""
+    folded = index % (2 * length)
+    return np.where(folded < length, folded, 2 * length - 1 - folded)
+
+
+def tinted(base: tuple[float, float, float], relief: Float32Array, second: tuple[float, float, float] | None = None,
+           mixture: Float32Array | None = None) -> Image:  # fmt: skip
+    """Return an RGB image of one colour, times ``1 + relief``; `mixture` in [0, 1] leads over to a second colour."""
+    factor = 1.0 + relief
+    channels = []
+    for channel in range(3):
+        colour: Float32Array | float = base[channel]
+        if second is not None and mixture is not None:
+            colour = base[channel] + (second[channel] - base[channel]) * mixture
+        channels.append(cv2.convertScaleAbs(np.maximum(factor * colour, 0.0)))
+    return np.asarray(cv2.merge(channels), dtype=np.uint8)

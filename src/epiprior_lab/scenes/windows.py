@@ -1,0 +1,219 @@
+"""Windows, doors and shop fronts: frames that repeat exactly, and what differs from one window to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from epiprior_lab.scenes.materials import Colour, jittered, ornament
+from epiprior_lab.scenes.textures import PICTURES, crop, noise
+from epiprior_lab.scenes.world import Image
+
+Lintel = Literal["none", "band", "keystone", "pediment", "arch", "carved"]
+LINTELS: tuple[Lintel, ...] = ("none", "band", "keystone", "pediment", "arch", "carved")
+GLASS = 128
+_SOLID = 255
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowStyle:
+    """What all windows of a house have in common.
+
+    Parameters
+    ----------
+    width_m, height_m : float
+        Size of the opening, metres.
+    columns, rows : int
+        Panes.
+    frame_colour, trim_colour, shutter_colour : tuple of float
+        RGB of the frame, of the stone around the opening, and of the shutters.
+    frame_m : float
+        Thickness of the frame, metres.
+    lintel : str
+        One of `LINTELS`.
+    shutters : bool
+        Whether there are open shutters on both sides.
+    variety : float
+        How much one window differs from the next, in [0, 1].
+    """
+
+    width_m: float
+    height_m: float
+    columns: int
+    rows: int
+    frame_colour: Colour
+    trim_colour: Colour
+    shutter_colour: Colour
+    frame_m: float
+    lintel: Lintel
+    shutters: bool
+    variety: float
+
+
+def window_style(rng: np.random.Generator, wall_colour: Colour, *, variety: float) -> WindowStyle:
+    """Draw a window."""
+    frames = ((235, 232, 225), (96, 66, 44), (60, 66, 72), (222, 214, 196), (46, 72, 60))
+    trims = (tuple(min(245.0, 1.22 * c) for c in wall_colour), (206, 198, 180), (150, 140, 128), (232, 228, 220))
+    shutters = ((70, 92, 72), (110, 60, 48), (72, 84, 110), (130, 118, 98))
+    trim = trims[int(rng.integers(len(trims)))]
+    return WindowStyle(
+        width_m=float(rng.uniform(0.9, 1.6)),
+        height_m=float(rng.uniform(1.3, 2.1)),
+        columns=int(rng.choice((2, 2, 2, 3, 4))),
+        rows=int(rng.choice((1, 2, 2, 3, 4))),
+        frame_colour=jittered(rng, frames[int(rng.integers(len(frames)))], 0.08),
+        trim_colour=jittered(rng, (trim[0], trim[1], trim[2]), 0.06),
+        shutter_colour=jittered(rng, shutters[int(rng.integers(len(shutters)))], 0.15),
+        frame_m=float(rng.uniform(0.05, 0.09)),
+        lintel=LINTELS[int(rng.integers(len(LINTELS)))],
+        shutters=bool(rng.random() < 0.25),
+        variety=variety,
+    )
+
+
+def draw_panes(rng: np.random.Generator, area: Image, style: WindowStyle, *, texels_per_m: float) -> None:
+    """Draw a window into an area (H, W, 4): the room behind, curtains, blind, frame; glass is marked by its opacity."""
+    height, width = area.shape[:2]
+    dark = rng.uniform(24, 52) + style.variety * rng.uniform(-14, 30)
+    shade = np.linspace(1.3, 0.7, height, dtype=np.float32)[:, None, None]
+    area[..., :3] = np.clip(np.array((0.95, 1.0, 1.08), dtype=np.float32) * dark * shade, 0, 255)
+    area[..., 3] = int(GLASS + rng.uniform(0, 70))
+    if rng.random() < 0.85:
+        room = crop(rng, height, width, PICTURES, part=(0.15, 0.5))
+        weight = float(rng.uniform(0.15, 0.25 + 0.5 * style.variety))
+        area[..., :3] = cv2.addWeighted(area[..., :3], 1 - weight / 2, room, weight, 0)
+    _draw_curtains(rng, area, style)
+    frame = max(2, round(style.frame_m * texels_per_m))
+    tone = 1.0 + style.variety * rng.uniform(-0.10, 0.06)
+    colour = tuple(int(min(255, c * tone)) for c in style.frame_colour) + (_SOLID,)
+    for k in range(1, style.columns):
+        x = round(k * width / style.columns)
+        bar = frame if 2 * k == style.columns else max(1, frame // 2)
+        area[:, x - bar // 2 : x - bar // 2 + bar] = colour
+    for k in range(1, style.rows):
+        y = round(k * height / style.rows)
+        bar = max(1, frame // 2)
+        area[y : y + bar] = colour
+        area[min(y + bar, height - 1)] = [int(0.5 * c) for c in colour[:3]] + [_SOLID]
+    cv2.rectangle(area, (0, 0), (width - 1, height - 1), colour, frame)
+    inner = tuple(int(0.45 * c) for c in colour[:3]) + (_SOLID,)
+    cv2.rectangle(area, (frame, frame), (width - 1 - frame, height - 1 - frame), inner, 1)
+    area[: max(2, height // 14), :, :3] //= 2  # the shadow of the reveal above
+
+
+def _draw_curtains(rng: np.random.Generator, area: Image, style: WindowStyle) -> None:
+    """Draw curtains and a blind, or neither, behind the glass."""
+    height, width = area.shape[:2]
+    kind = rng.choice(("none", "sides", "full", "blind", "sides+blind"), p=(0.3, 0.28, 0.1, 0.22, 0.1))
+    tone = np.array(jittered(rng, (196, 188, 172), 0.1 + 0.25 * style.variety), dtype=np.float32)
+    folds = 1.0 + 0.22 * np.sin(np.arange(width) * rng.uniform(0.25, 0.8) + rng.uniform(0, 6))
+    cloth = np.clip(folds[None, :, None] * tone, 0, 255).astype(np.uint8)
+    if kind.startswith("sides"):
+        part = int(width * rng.uniform(0.12, 0.3))
+        for columns in (slice(0, part), slice(width - part - int(rng.integers(0, 4)), width)):
+            area[:, columns, :3] = cv2.addWeighted(area[:, columns, :3], 0.3, np.repeat(cloth[:, columns], height, 0), 0.7, 0)
+    if kind == "full":
+        area[..., :3] = cv2.addWeighted(area[..., :3], 0.35, np.repeat(cloth, height, 0), 0.65, 0)
+    if kind.endswith("blind"):
+        down = int(height * rng.uniform(0.15, 0.85))
+        area[:down, :, :3] = tone
+        area[:down:4, :, :3] = 0.72 * tone
+        area[max(0, down - 2) : down, :, :3] = 0.4 * tone
+
+
+def draw_trim(
+    rng: np.random.Generator, wall: Image, opening: tuple[int, int, int, int], style: WindowStyle, carving: Image | None,
+    *, texels_per_m: float,
+) -> None:  # fmt: skip
+    """Draw the stone around an opening (left, top, right, bottom) on a wall (H, W, 4), shutters, and dirt below."""
+    left, top, right, bottom = opening
+    band = max(3, round(0.14 * texels_per_m))
+    colour = (*style.trim_colour, _SOLID)
+    edge = tuple(0.62 * c for c in style.trim_colour) + (_SOLID,)
+    if style.lintel != "none":
+        cv2.rectangle(wall, (left - band, top - band), (right + band, bottom + band), edge, -1)
+        cv2.rectangle(wall, (left - band + 1, top - band + 1), (right + band - 1, bottom + band - 1), colour, -1)
+        cv2.rectangle(wall, (left - band // 3, top - band // 3), (right + band // 3, bottom + band // 3), edge, 1)
+    middle, high = (left + right) // 2, top - band
+    if style.lintel == "keystone":
+        key = np.array([(middle - band, high - band), (middle + band, high - band), (middle + band // 2, top), (middle - band // 2, top)])
+        cv2.fillPoly(wall, [key.astype(np.int32)], colour, cv2.LINE_AA)
+        cv2.polylines(wall, [key.astype(np.int32)], True, edge, 1, cv2.LINE_AA)
+    elif style.lintel == "pediment":
+        gable = np.array([(left - 2 * band, high), (middle, high - 3 * band), (right + 2 * band, high)], dtype=np.int32)
+        cv2.fillPoly(wall, [gable], colour, cv2.LINE_AA)
+        cv2.polylines(wall, [gable], True, edge, max(1, band // 3), cv2.LINE_AA)
+    elif style.lintel == "arch":
+        axes = ((right - left) // 2 + band, int(0.28 * (right - left)) + band)
+        cv2.ellipse(wall, (middle, top), axes, 0, 180, 360, colour, -1, cv2.LINE_AA)
+        cv2.ellipse(wall, (middle, top), axes, 0, 180, 360, edge, max(1, band // 4), cv2.LINE_AA)
+    if carving is not None:
+        paste(wall, carving, middle - carving.shape[1] // 2, high - carving.shape[0] - 1)
+    if style.shutters:
+        _draw_shutters(rng, wall, opening, style)
+    if rng.random() < 0.3 + 0.5 * style.variety:
+        _draw_streaks(rng, wall, (left, min(bottom + band, wall.shape[0] - 1), right), length=int(rng.uniform(0.3, 1.2) * texels_per_m))
+
+
+def carved_lintel(rng: np.random.Generator, style: WindowStyle, *, texels_per_m: float) -> Image | None:
+    """Return the relief above every window of a house, if its style has one."""
+    if style.lintel != "carved":
+        return None
+    return ornament(rng, int(0.42 * texels_per_m), int((style.width_m + 0.2) * texels_per_m), style.trim_colour)
+
+
+def paste(canvas: Image, patch: Image, left: int, top: int) -> None:
+    """Copy a patch (H, W, 3) onto a canvas, cut at its rim."""
+    height, width = canvas.shape[:2]
+    x0, y0, x1, y1 = max(left, 0), max(top, 0), min(left + patch.shape[1], width), min(top + patch.shape[0], height)
+    if x0 < x1 and y0 < y1:
+        canvas[y0:y1, x0:x1, :3] = patch[y0 - top : y1 - top, x0 - left : x1 - left]
+
+
+def _draw_shutters(rng: np.random.Generator, wall: Image, opening: tuple[int, int, int, int], style: WindowStyle) -> None:
+    """Draw louvred shutters left and right of an opening."""
+    left, top, right, bottom = opening
+    wide = max(4, (right - left) // 2)
+    for x in (left - wide, right):
+        shutter = np.empty((bottom - top, wide, 3), dtype=np.uint8)
+        shutter[:] = jittered(rng, style.shutter_colour, 0.02 + 0.08 * style.variety)
+        shutter[::5] //= 2
+        cv2.rectangle(shutter, (0, 0), (wide - 1, bottom - top - 1), style.shutter_colour, max(2, wide // 12))
+        paste(wall, shutter, x, top)
+
+
+def _draw_streaks(rng: np.random.Generator, wall: Image, sill: tuple[int, int, int], *, length: int) -> None:
+    """Darken the wall below a sill (left, top, right) in vertical streaks."""
+    left, top, right = max(sill[0], 0), sill[1], min(sill[2], wall.shape[1])
+    bottom = min(top + length, wall.shape[0])
+    if bottom - top < 2 or right - left < 2:
+        return
+    streaks = np.maximum(noise(rng, 1, right - left, "middle"), 0) * np.linspace(1, 0, bottom - top)[:, None]
+    area = wall[top:bottom, left:right, :3]
+    area[:] = area * (1 - np.clip(0.22 * streaks, 0, 0.5))[..., None]
+
+
+def door(rng: np.random.Generator, height: int, width: int) -> Image:
+    """Return a door or a shop window with its sign, shape (height, width, 4)."""
+    image = np.full((height, width, 4), _SOLID, dtype=np.uint8)
+    if rng.random() < 0.5:
+        image[..., :3] = jittered(rng, (96, 70, 50), 0.4)
+        relief = 1 + 0.12 * noise(rng, height, width, "middle")
+        image[..., :3] = np.clip(image[..., :3] * relief[..., None], 0, 255)
+        for y in range(2):
+            for x in range(2):
+                corner = (int((0.1 + 0.45 * x) * width), int((0.08 + 0.46 * y) * height))
+                other = (int((0.45 + 0.45 * x) * width), int((0.46 + 0.46 * y) * height))
+                cv2.rectangle(image, corner, other, (40, 30, 24, _SOLID), max(1, width // 30))
+        return image
+    image[..., :3] = crop(rng, height, width, PICTURES, part=(0.4, 1.0)) // 2
+    image[..., 3] = GLASS + 60
+    sign = max(6, height // 6)
+    image[:sign] = (*jittered(rng, (150, 60, 50), 0.5), _SOLID)
+    letters = "".join(chr(int(c)) for c in rng.integers(65, 91, size=max(3, width // sign)))
+    cv2.putText(image, letters, (3, int(0.8 * sign)), cv2.FONT_HERSHEY_DUPLEX, sign / 34, (240, 236, 220, _SOLID), max(1, sign // 12), cv2.LINE_AA)
+    cv2.rectangle(image, (0, 0), (width - 1, height - 1), (60, 56, 52, _SOLID), max(2, width // 40))
+    return image

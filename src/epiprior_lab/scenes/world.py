@@ -1,0 +1,239 @@
+"""A world of textured flat faces: parallelograms and triangles, with light painted on once for all views.
+
+Units are metres; x points right, y down, z away from a viewer who stands before a facade; the ground is near y = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from epiprior.types import FloatArray, IntArray
+
+Image = NDArray[np.uint8]
+Vector = FloatArray | tuple[float, float, float] | list[float]
+
+BOTH_VIEWS, FIRST_VIEW, SECOND_VIEW = 3, 1, 2
+MAX_LEVELS = 12
+WHOLE = (0.0, 0.0, 1.0, 1.0)
+_MIN_LEVEL_SIDE = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """Faces and textures in flat arrays, ready to be drawn.
+
+    Parameters
+    ----------
+    corner, across, down : ndarray, shape (N, 3), float64
+        A corner of each face and its two edges from there.
+    texture_frame : ndarray, shape (N, 3, 2), float64
+        Texture coordinates (fractions of width and height) of the corner, and their change along both edges.
+    texture : ndarray, shape (N,), int64
+        Texture of each face.
+    triangle, cut_out, views : ndarray, shape (N,), int64
+        1 where the face is a triangle; 1 where transparent texels are holes; bit set of the views that show it.
+    shade, mirror : ndarray, shape (N,), float64
+        Factor of the texture's brightness; how much of the surroundings a glass texel reflects.
+    levels : ndarray, shape (T, MAX_LEVELS, 3), int64
+        First texel, width and height of each texture's image at each halving of its size.
+    texels : ndarray, shape (M, 4), uint8
+        All textures at all sizes: red, green, blue, opacity (below 128: a hole; 128 to 255: from glass to solid).
+    surroundings : ndarray, shape (H, W, 3), uint8
+        What is infinitely far: sky and skyline, by elevation (rows, zenith first) and azimuth (columns).
+    """
+
+    corner: FloatArray
+    across: FloatArray
+    down: FloatArray
+    texture_frame: FloatArray
+    texture: IntArray
+    triangle: IntArray
+    cut_out: IntArray
+    views: IntArray
+    shade: FloatArray
+    mirror: FloatArray
+    levels: IntArray
+    texels: Image
+    surroundings: Image
+
+
+class WorldBuilder:
+    """Collects faces and textures.
+
+    Parameters
+    ----------
+    sun : ndarray, shape (3,)
+        Direction in which light travels; need not be normalised.
+    ambient : float
+        Brightness of a face turned away from the sun, in [0, 1].
+    surroundings : ndarray, shape (H, W, 3), uint8
+        See `World`.
+    """
+
+    def __init__(self, *, sun: Vector, ambient: float, surroundings: Image) -> None:
+        direction = np.asarray(sun, dtype=np.float64)
+        self._to_sun = -direction / np.linalg.norm(direction)
+        self._ambient = ambient
+        self._surroundings = surroundings
+        self._faces: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
+        self._flags: list[tuple[int, int, int, int, float, float]] = []
+        self._textures: list[Image] = []
+
+    def texture(self, image: Image) -> int:
+        """Add an image, shape (H, W, 3) or (H, W, 4), and return its number."""
+        self._textures.append(image)
+        return len(self._textures) - 1
+
+    def face(
+        self,
+        corner: Vector,
+        across: Vector,
+        down: Vector,
+        texture: int,
+        *,
+        area: tuple[float, float, float, float] = WHOLE,
+        texture_frame: FloatArray | None = None,
+        triangle: bool = False,
+        mirror: float = 0.0,
+        views: int = BOTH_VIEWS,
+        brightness: float = 1.0,
+    ) -> None:
+        """Add a parallelogram or a triangle.
+
+        Parameters
+        ----------
+        corner, across, down : vectors of 3
+            Top-left corner as seen from the front, and the edges to the right and downwards from there.
+        texture : int
+            Number of the texture.
+        area : tuple of float
+            Part of the texture (left, top, right, bottom), fractions; beyond [0, 1] it repeats.
+        texture_frame : ndarray, shape (3, 2), optional
+            In place of `area`: texture coordinates of the corner, and their change along both edges.
+        triangle : bool
+            Keep only the half beside the corner.
+        mirror : float
+            How much a glass texel reflects, in [0, 1].
+        views : int
+            In which views it exists: `BOTH_VIEWS`, `FIRST_VIEW` or `SECOND_VIEW`.
+        brightness : float
+            Factor on top of the light.
+        """
+        a, b = np.asarray(across, dtype=np.float64), np.asarray(down, dtype=np.float64)
+        normal = np.cross(b, a)
+        length = float(np.linalg.norm(normal))
+        if length < 1e-9:
+            return
+        light = max(0.0, float(normal @ self._to_sun) / length)
+        shade = brightness * (self._ambient + (1.0 - self._ambient) * light)
+        left, top, right, bottom = area
+        frame = np.array([[left, top], [right - left, 0.0], [0.0, bottom - top]])
+        frame = frame if texture_frame is None else texture_frame
+        cut_out = int(self._textures[texture].shape[2] == 4)
+        self._faces.append((np.asarray(corner, dtype=np.float64), a, b, frame))
+        self._flags.append((texture, int(triangle), cut_out, views, shade, mirror))
+
+    def build(self) -> World:
+        """Return the world; textures are packed with their halved copies, so that far faces do not alias."""
+        corner, across, down, frames = (np.array(column) for column in zip(*self._faces, strict=True))
+        texture, triangle, cut_out, views = np.array([flags[:4] for flags in self._flags], dtype=np.int64).T
+        shade, mirror = np.array([flags[4:] for flags in self._flags], dtype=np.float64).T
+        levels = np.zeros((len(self._textures), MAX_LEVELS, 3), dtype=np.int64)
+        texels: list[Image] = []
+        used = 0
+        for number, image in enumerate(self._textures):
+            for level, halved in enumerate(_halvings(image)):
+                height, width = halved.shape[:2]
+                levels[number, level] = used, width, height
+                texels.append(halved.reshape(-1, 4))
+                used += height * width
+            levels[number, level + 1 :] = levels[number, level]
+        return World(
+            corner=corner,
+            across=across,
+            down=down,
+            texture_frame=frames,
+            texture=np.ascontiguousarray(texture),
+            triangle=np.ascontiguousarray(triangle),
+            cut_out=np.ascontiguousarray(cut_out),
+            views=np.ascontiguousarray(views),
+            shade=np.ascontiguousarray(shade),
+            mirror=np.ascontiguousarray(mirror),
+            levels=levels,
+            texels=np.concatenate(texels),
+            surroundings=self._surroundings,
+        )
+
+
+def _halvings(image: Image) -> list[Image]:
+    """Return an image with opacity, and its copies at 1/2, 1/4, ... of the size."""
+    if image.shape[2] == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2RGBA)
+    images = [np.ascontiguousarray(image)]
+    while len(images) < MAX_LEVELS and min(images[-1].shape[:2]) >= 2 * _MIN_LEVEL_SIDE:
+        height, width = images[-1].shape[:2]
+        images.append(cv2.resize(images[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+    return images
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A place to build at: `a` metres along a wall, `b` up from its foot, `c` out of it towards the viewer.
+
+    Parameters
+    ----------
+    foot : ndarray, shape (3,)
+        World position of a = b = c = 0: the left foot of the wall as seen from the front.
+    right, outward : ndarray, shape (3,)
+        Unit vectors, horizontal and perpendicular.
+    """
+
+    foot: FloatArray
+    right: FloatArray
+    outward: FloatArray
+
+    @classmethod
+    def facing(cls, foot: Vector, azimuth_deg: float) -> Frame:
+        """Return the frame of a wall that faces the viewer (-z) at azimuth 0, and is turned to its left with more."""
+        angle = np.deg2rad(azimuth_deg)
+        right = np.array([np.cos(angle), 0.0, np.sin(angle)])
+        return cls(np.asarray(foot, dtype=np.float64), right, np.array([np.sin(angle), 0.0, -np.cos(angle)]))
+
+    def point(self, a: float, b: float, c: float = 0.0) -> FloatArray:
+        """Return the world position of (a, b, c)."""
+        return self.foot + a * self.right + c * self.outward - np.array([0.0, b, 0.0])
+
+    def side(self, a: float, c: float = 0.0) -> Frame:
+        """Return the frame of the wall that starts at (a, 0, c) and goes back from there: the right side of a house."""
+        return Frame(self.point(a, 0.0, c), -self.outward, self.right)
+
+
+def upright(
+    world: WorldBuilder, frame: Frame, a: tuple[float, float], b: tuple[float, float], c: float, texture: int,
+    *, area: tuple[float, float, float, float] = WHOLE, mirror: float = 0.0, views: int = BOTH_VIEWS,
+) -> None:  # fmt: skip
+    """Add an upright rectangle that faces the viewer of `frame`: from a[0] to a[1], from b[0] up to b[1], at depth c."""
+    across, down = frame.right * (a[1] - a[0]), np.array([0.0, b[1] - b[0], 0.0])
+    world.face(frame.point(a[0], b[1], c), across, down, texture, area=area, mirror=mirror, views=views)
+
+
+def box(
+    world: WorldBuilder, frame: Frame, a: tuple[float, float], b: tuple[float, float], c: tuple[float, float],
+    textures: int | tuple[int, int, int], *, area: tuple[float, float, float, float] = WHOLE, views: int = BOTH_VIEWS,
+) -> None:  # fmt: skip
+    """Add a box: textures of front and back, of the sides, and of top and bottom."""
+    front, sides, top = (textures,) * 3 if isinstance(textures, int) else textures
+    upright(world, frame, a, b, c[1], front, area=area, views=views)
+    back = Frame(frame.point(a[1], 0.0, c[0]), -frame.right, -frame.outward)
+    upright(world, back, (0.0, a[1] - a[0]), b, 0.0, front, area=area, views=views)
+    depth = c[1] - c[0]
+    upright(world, frame.side(a[1], c[1]), (0.0, depth), b, 0.0, sides, area=area, views=views)
+    left = Frame(frame.point(a[0], 0.0, c[0]), frame.outward, -frame.right)
+    upright(world, left, (0.0, depth), b, 0.0, sides, area=area, views=views)
+    across, inward = frame.right * (a[1] - a[0]), frame.outward * depth
+    world.face(frame.point(a[0], b[1], c[0]), across, inward, top, area=area, views=views)
+    world.face(frame.point(a[0], b[0], c[1]), across, -inward, top, area=area, views=views, brightness=0.7)

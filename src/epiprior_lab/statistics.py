@@ -1,0 +1,336 @@
+"""Measures of the evaluation: successes, rankings, calibration, and paired bootstrap intervals.
+
+Conventions: errors are pixels, ``inf`` or NaN where there is no fundamental matrix, which counts as a failure
+and never as missing; a success is an error strictly below the threshold; deviations over seeds are sample
+deviations.
+References: paper, "General performance"; Efron and Tibshirani, An Introduction to the Bootstrap, chapter 13
+(percentile intervals).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from epiprior.errors import SettingsError
+from epiprior.types import BoolArray, FloatArray, IntArray
+
+RANKING_DEPTHS = (10, 100, 500)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interval:
+    """An estimate and its percentile bootstrap interval.
+
+    Parameters
+    ----------
+    value : float
+        The estimate on the data themselves.
+    low, high : float
+        Ends of the interval.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Paired comparison of a measure without and with the preprocessing step.
+
+    Parameters
+    ----------
+    without, with_step : Interval
+        Means over pairs.
+    difference : Interval
+        Mean of ``with - without``.
+    contribution : Interval
+        The paper's ``(with - without) / without``, of the means; see `contribution`.
+    """
+
+    without: Interval
+    with_step: Interval
+    difference: Interval
+    contribution: Interval
+
+
+def contribution(without: ArrayLike, with_step: ArrayLike) -> FloatArray:
+    """Return the paper's contribution ``(with - without) / without``.
+
+    Parameters
+    ----------
+    without, with_step : array_like, one shape
+        Successes, >= 0.
+
+    Returns
+    -------
+    ndarray, float64
+        0 where both are 0; ``inf`` where only `without` is 0.
+    """
+    a, b = np.broadcast_arrays(np.asarray(without, np.float64), np.asarray(with_step, np.float64))
+    out = np.where(b > 0, np.inf, 0.0)
+    return np.asarray(np.divide(b - a, a, out=out, where=a > 0))
+
+
+def bootstrap_weights(n: int, *, draws: int, seed: int, groups: Sequence[str] | None = None) -> FloatArray:
+    """Return how often each observation is drawn in each bootstrap sample.
+
+    Parameters
+    ----------
+    n : int
+        Number of observations (pairs), >= 1.
+    draws : int
+        Number of bootstrap samples, >= 1.
+    seed : int
+        Seed of the random draw.
+    groups : sequence of str, length n, optional
+        Scene of each pair: whole scenes are drawn, because pairs of one scene are alike; otherwise pairs.
+
+    Returns
+    -------
+    ndarray, shape (draws, n), float64
+        Each row sums to 1, so that ``weights @ values`` are the means of the samples.
+
+    Raises
+    ------
+    SettingsError
+        If `n` or `draws` is below 1, or `groups` has another length.
+    """
+    if n < 1 or draws < 1:
+        raise SettingsError(f"bootstrap of {n} observations in {draws} draws: both must be at least 1")
+    if groups is not None and len(groups) != n:
+        raise SettingsError(f"bootstrap: {len(groups)} groups for {n} observations")
+    _, group = np.unique(np.arange(n) if groups is None else np.asarray(groups, str), return_inverse=True)
+    number = int(group.max()) + 1
+    counts = np.random.default_rng(seed).multinomial(number, np.full(number, 1 / number), size=draws)[
+        :, group
+    ]
+    return np.asarray(counts / counts.sum(axis=1, keepdims=True))
+
+
+def _interval(value: float, samples: FloatArray, level: float) -> Interval:
+    """Take the quantiles without interpolation: a sample may be infinite."""
+    tail = (1 - level) / 2
+    low, high = np.quantile(samples, [tail, 1 - tail], method="inverted_cdf")
+    return Interval(value=float(value), low=float(low), high=float(high))
+
+
+def bootstrap_mean(
+    values: ArrayLike, *, draws: int, seed: int, groups: Sequence[str] | None = None, level: float = 0.95
+) -> Interval:
+    """Return the mean of `values` and its bootstrap interval.
+
+    Parameters
+    ----------
+    values : array_like, shape (N,)
+        One value per pair, finite, N >= 1.
+    draws, seed, groups
+        As for `bootstrap_weights`.
+    level : float
+        Coverage of the interval, in (0, 1).
+    """
+    v = np.asarray(values, np.float64)
+    return _interval(v.mean(), bootstrap_weights(len(v), draws=draws, seed=seed, groups=groups) @ v, level)
+
+
+def paired_bootstrap(
+    without: ArrayLike,
+    with_step: ArrayLike,
+    *,
+    draws: int,
+    seed: int,
+    groups: Sequence[str] | None = None,
+    level: float = 0.95,
+) -> Comparison:
+    """Compare a measure of the same pairs without and with the preprocessing step.
+
+    Parameters
+    ----------
+    without, with_step : array_like, shape (N,)
+        One finite value per pair, in one order, N >= 1; for successes, the share of seeds that succeeded.
+    draws, seed, groups
+        As for `bootstrap_weights`; both sides are resampled together.
+    level : float
+        Coverage of the intervals, in (0, 1).
+
+    Returns
+    -------
+    Comparison
+        Of means over pairs; multiply by N for numbers of pairs.
+
+    Raises
+    ------
+    SettingsError
+        If the two sides have different lengths.
+    """
+    a, b = np.asarray(without, np.float64), np.asarray(with_step, np.float64)
+    if a.shape != b.shape or a.ndim != 1:
+        raise SettingsError(f"paired bootstrap of shapes {a.shape} and {b.shape}: expected (N,) twice")
+    weights = bootstrap_weights(len(a), draws=draws, seed=seed, groups=groups)
+    means_a, means_b = weights @ a, weights @ b
+    return Comparison(
+        without=_interval(a.mean(), means_a, level),
+        with_step=_interval(b.mean(), means_b, level),
+        difference=_interval((b - a).mean(), means_b - means_a, level),
+        contribution=_interval(
+            float(contribution(a.mean(), b.mean())), contribution(means_a, means_b), level
+        ),
+    )
+
+
+def successes(errors_px: ArrayLike, threshold_px: float) -> BoolArray:
+    """Return which errors are successes: strictly below the threshold, and a number."""
+    return np.asarray(np.asarray(errors_px, np.float64) < threshold_px)
+
+
+def success_curve(errors_px: ArrayLike, thresholds_px: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return the number of successful pairs as a function of the threshold.
+
+    Parameters
+    ----------
+    errors_px : array_like, shape (P, S)
+        Error of each pair for each seed, pixels.
+    thresholds_px : array_like, shape (T,)
+        Thresholds, pixels.
+
+    Returns
+    -------
+    mean, deviation : ndarray, shape (T,), float64
+        Mean over seeds of the number of pairs, and its sample deviation (0 for a single seed).
+    """
+    below = np.asarray(errors_px, np.float64)[None] < np.asarray(thresholds_px, np.float64)[:, None, None]
+    counts = below.sum(axis=1).astype(np.float64)
+    deviation = counts.std(axis=1, ddof=1) if counts.shape[1] > 1 else np.zeros(len(counts))
+    return counts.mean(axis=1), deviation
+
+
+def area_under_success_curve(errors_px: ArrayLike, limit_px: float) -> float:
+    """Return the mean share of successes over all thresholds from 0 to `limit_px`.
+
+    Parameters
+    ----------
+    errors_px : array_like, any shape, at least one entry
+        Errors, pixels.
+    limit_px : float
+        Highest threshold, pixels, > 0.
+
+    Returns
+    -------
+    float
+        In [0, 1]; exact, not a sum over a grid: each error e adds ``max(0, 1 - e / limit)``.
+    """
+    errors = np.nan_to_num(np.asarray(errors_px, np.float64), nan=np.inf)
+    return float(np.clip(1 - errors / limit_px, 0, 1).mean())
+
+
+def precision_at(right: BoolArray, depth: int) -> float:
+    """Return the share of right matches among the first `depth`.
+
+    Parameters
+    ----------
+    right : ndarray, shape (N,), bool
+        Whether each match is right, best first.
+    depth : int
+        Number of leading matches, >= 1.
+
+    Returns
+    -------
+    float
+        In [0, 1]. A list that is shorter counts as filled up with wrong matches, as in the paper's "number of
+        inliers among the top 100".
+    """
+    return float(np.count_nonzero(right[:depth]) / depth)
+
+
+def average_precision(right: BoolArray) -> float:
+    """Return the mean over the right matches of the precision at their rank; 0 if none is right."""
+    hits = np.flatnonzero(right)
+    if not len(hits):
+        return 0.0
+    return float((np.arange(1, len(hits) + 1) / (hits + 1)).mean())
+
+
+def log_ranks(limit: int, per_decade: int = 12) -> IntArray:
+    """Return increasing, different ranks from 1 to `limit`, evenly spread on a logarithmic scale.
+
+    Parameters
+    ----------
+    limit : int
+        Highest rank, >= 1; always the last one.
+    per_decade : int
+        Ranks per factor of ten before rounding.
+    """
+    exponents = np.arange(int(np.floor(np.log10(limit) * per_decade)) + 1) / per_decade
+    return np.unique(np.append(np.rint(10**exponents).astype(np.int64), limit))
+
+
+def right_among_first(right: BoolArray, ranks: IntArray) -> IntArray:
+    """Return the number of right matches among the first ``ranks[i]``, for each i."""
+    total = np.concatenate([[0], np.cumsum(right, dtype=np.int64)])
+    return np.asarray(total[np.minimum(ranks, len(right))])
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationBins:
+    """Sums over equal bins of probability; sums of several pairs may be added.
+
+    Parameters
+    ----------
+    count, right : ndarray, shape (B,), int64
+        Matches in the bin, and right ones among them.
+    probability, squared_error : ndarray, shape (B,), float64
+        Sum of probabilities, and of squared differences from 1 (right) or 0 (wrong).
+    """
+
+    count: IntArray
+    right: IntArray
+    probability: FloatArray
+    squared_error: FloatArray
+
+    @property
+    def brier_score(self) -> float:
+        """Mean squared error of the probabilities; NaN without matches."""
+        return float(self.squared_error.sum() / self.count.sum()) if self.count.sum() else float("nan")
+
+    @property
+    def expected_calibration_error(self) -> float:
+        """Mean gap over bins between probability and share of right matches, weighted by matches."""
+        gaps = np.abs(self.probability - self.right).sum()
+        return float(gaps / self.count.sum()) if self.count.sum() else float("nan")
+
+
+def calibration_bins(probability: FloatArray, right: BoolArray, bins: int = 20) -> CalibrationBins:
+    """Sum probabilities and outcomes over `bins` equal bins of [0, 1].
+
+    Parameters
+    ----------
+    probability : ndarray, shape (N,), float64
+        In [0, 1].
+    right : ndarray, shape (N,), bool
+        Outcomes.
+    bins : int
+        Number of bins, >= 1; the last one holds 1.
+
+    Raises
+    ------
+    SettingsError
+        If a probability is not in [0, 1].
+    """
+    p = np.asarray(probability, np.float64)
+    if len(p) and not (p.min() >= 0 and p.max() <= 1):
+        raise SettingsError(f"calibration: probabilities from {p.min()} to {p.max()}, expected 0 to 1")
+    index = np.minimum((p * bins).astype(np.int64), bins - 1)
+
+    def sums(weights: FloatArray) -> FloatArray:
+        return np.bincount(index, weights=weights, minlength=bins).astype(np.float64)
+
+    return CalibrationBins(
+        count=np.bincount(index, minlength=bins),
+        right=np.bincount(index[right], minlength=bins),
+        probability=sums(p),
+        squared_error=sums((p - right) ** 2),
+    )

@@ -1,0 +1,150 @@
+"""Results of tasks on disk, and the content keys that say whether a stored result may be used again."""
+
+import dataclasses
+import functools
+import hashlib
+import importlib.metadata
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from epiprior.errors import SettingsError
+
+_DIGEST_BYTES = 32
+
+
+class ContentKeys:
+    """Keys of calls of one function: source, installed versions, payload, and files that it reads.
+
+    Parameters
+    ----------
+    function : callable
+        The function that is called.
+    code : sequence of modules
+        Packages or modules whose source decides the result; the module of `function` is always among them.
+
+    Raises
+    ------
+    SettingsError
+        If a module has no source file.
+    """
+
+    def __init__(self, function: Callable[..., Any], code: Sequence[ModuleType]) -> None:
+        modules = sorted({*code, sys.modules[function.__module__]}, key=lambda module: module.__name__)
+        self._common = hashlib.sha256("\0".join([*_names(function), *_environment()]).encode())
+        for module in modules:
+            self._common.update(_source_digest(module))
+        self._files: dict[Path, bytes] = {}
+
+    def key(self, payload: Mapping[str, Any], files: Sequence[Path]) -> bytes:
+        """Return the key of one call.
+
+        Raises
+        ------
+        TypeError
+            If the payload holds something that has no stable key.
+        OSError
+            If a file cannot be read.
+        """
+        digest = self._common.copy()
+        for part in _encode(payload):
+            digest.update(part)
+        for path in files:
+            if path not in self._files:
+                self._files[path] = hashlib.sha256(path.read_bytes()).digest()
+            digest.update(self._files[path])
+        return digest.digest()
+
+
+def result_path(store: Path, function: Callable[..., Any], name: str) -> Path:
+    """Return the one file of a function and task name: readable, and shared with no other."""
+    digest = hashlib.sha256("\0".join([*_names(function), name]).encode()).hexdigest()[:12]
+    readable = re.sub(r"[^\w.-]", "_", name)[:80]
+    return store / f"{readable}-{digest}.result"
+
+
+def read_result(path: Path, key: bytes) -> bytes | None:
+    """Return a stored body, or None if there is none of this key or the file is damaged."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    head, body = content[: 2 * _DIGEST_BYTES], content[2 * _DIGEST_BYTES :]
+    return body if head == key + hashlib.sha256(body).digest() else None
+
+
+def write_result(path: Path, key: bytes, body: bytes) -> None:
+    """Replace a stored body in one step: after a kill there is the old one or the new one."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+        try:
+            file.write(key + hashlib.sha256(body).digest() + body)
+            file.close()
+            Path(file.name).replace(path)
+        except BaseException:
+            Path(file.name).unlink(missing_ok=True)
+            raise
+
+
+def _names(function: Callable[..., Any]) -> list[str]:
+    return [function.__module__, function.__qualname__]
+
+
+@functools.cache
+def _environment() -> tuple[str, ...]:
+    """Return the versions of Python and of all installed distributions."""
+    versions = {f"{item.name}=={item.version}" for item in importlib.metadata.distributions()}
+    return (sys.version, *sorted(versions))
+
+
+def _source_digest(module: ModuleType) -> bytes:
+    """Return the digest of a module's source, or of all Python files of a package."""
+    if module.__file__ is None:
+        raise SettingsError(f"module {module.__name__} has no source file")
+    path = Path(module.__file__)
+    root = path.parent
+    files = sorted(root.rglob("*.py")) if path.name == "__init__.py" else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.relative_to(root).as_posix().encode() + b"\0")
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.digest()
+
+
+def _encode(value: Any) -> Iterator[bytes]:
+    """Yield bytes that are equal for equal values only; pickle depends on object identity as well."""
+    kind = f"{type(value).__module__}.{type(value).__qualname__}:"
+    if value is None or isinstance(value, (bool, int, float, str, np.generic)):
+        yield _framed(kind + repr(value))
+    elif isinstance(value, bytes):
+        yield _framed(kind + value.hex())
+    elif isinstance(value, Path):
+        yield _framed("path:" + value.as_posix())
+    elif isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        yield _framed(f"{kind}{value.dtype.str}{value.shape}")
+        yield np.ascontiguousarray(value).tobytes()
+    elif isinstance(value, (list, tuple)):
+        yield _framed(f"{kind}{len(value)}")
+        for item in value:
+            yield from _encode(item)
+    elif isinstance(value, Mapping):
+        yield _framed(f"{kind}{len(value)}")
+        for key in sorted(value, key=repr):
+            yield from _encode(key)
+            yield from _encode(value[key])
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        yield _framed(kind)
+        yield from _encode({item.name: getattr(value, item.name) for item in dataclasses.fields(value)})
+    else:
+        raise TypeError(f"{type(value).__name__} has no stable key")
+
+
+def _framed(text: str) -> bytes:
+    """Return text with its length before it."""
+    encoded = text.encode()
+    return len(encoded).to_bytes(8, "little") + encoded

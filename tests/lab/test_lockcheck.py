@@ -1,0 +1,124 @@
+"""A pipeline of two stages, run by DVC itself, then changed in every way that the check has to notice."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+PIPELINE = """
+stages:
+  first:
+    matrix:
+      split: [train, test]
+    cmd: mkdir -p data && cat code/step.py > data/${item.split}
+    deps: [code]
+    params: [first]
+    outs: ["data/${item.split}"]
+  last:
+    cmd: mkdir model && cp data/train model/weights
+    deps: [data/train, data/test]
+    params: [last]
+    outs: [model: {cache: false}]
+"""
+PARAMS = "first: 1\nlast: {low: 0.5, names: [a, b]}\nother: 1\n"
+
+
+def run(folder, *arguments):
+    environment = os.environ | {"DVC_NO_ANALYTICS": "1", "DVC_SITE_CACHE_DIR": str(folder / ".site")}
+    command = [sys.executable, "-W", "ignore", "-m", *arguments]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def committed(tmp_path_factory):
+    """Return a folder as a clean clone has it: code, parameters, lock, model; neither data nor cache."""
+    folder = tmp_path_factory.mktemp("pipeline")
+    (folder / "code").mkdir()
+    (folder / "code" / "step.py").write_text("x = 1\n")
+    (folder / "dvc.yaml").write_text(PIPELINE)
+    (folder / "params.yaml").write_text(PARAMS)
+    (folder / ".dvcignore").write_text("__pycache__/\n")
+    for arguments in (["init", "--no-scm", "-q"], ["repro", "-q"]):
+        done = run(folder, "dvc", *arguments)
+        assert done.returncode == 0, done.stderr
+    shutil.rmtree(folder / "data")
+    shutil.rmtree(folder / ".dvc" / "cache")
+    return folder
+
+
+@pytest.fixture
+def clone(committed, tmp_path):
+    return shutil.copytree(committed, tmp_path / "clone")
+
+
+def check(folder):
+    done = run(folder, "epiprior_lab.cli", "check-lock")
+    assert "Traceback" not in done.stderr
+    return done.returncode, done.stdout + done.stderr
+
+
+def edit(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_a_clean_clone_passes_without_data(clone):
+    (clone / "code" / "__pycache__").mkdir()
+    (clone / "code" / "__pycache__" / "step.pyc").write_bytes(b"bytecode")
+    edit(clone / "params.yaml", "other: 1", "other: 2")
+    code, output = check(clone)
+    assert code == 0, output
+    assert "belongs" in output
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "named"),
+    [
+        ("code/step.py", "x = 1", "x = 2", ["first@train", "first@test", "code: modified"]),
+        ("params.yaml", "0.5", "0.6", ["last", "params.yaml: last: modified"]),
+        ("dvc.yaml", "cp data", "cp  data", ["last", "command: modified"]),
+        ("dvc.yaml", "[train, test]", "[train, test, new]", ["first@new"]),
+        ("model/weights", "x = 1", "x = 3", ["last", "model: modified"]),
+        ("dvc.lock", "  last:", "  gone:", ["last", "gone", "in dvc.lock, not in dvc.yaml"]),
+    ],
+)
+def test_what_differs_is_named_with_its_stage(file, old, new, named, clone):
+    edit(clone / file, old, new)
+    code, output = check(clone)
+    assert all(name in output for name in named), output
+    assert code == 1
+
+
+def test_a_missing_committed_result_is_named(clone):
+    shutil.rmtree(clone / "model")
+    code, output = check(clone)
+    assert code == 1
+    assert "model: deleted" in output
+
+
+def test_a_stage_must_have_read_what_its_predecessor_wrote(clone):
+    lock = clone / "dvc.lock"
+    written = next(line for line in lock.read_text().splitlines() if "md5:" in line and ".dir" not in line)
+    head, tail = lock.read_text().split("\n  last:")
+    lock.write_text(head + "\n  last:" + tail.replace(written.strip(), "md5: " + "f" * 32, 1))
+    code, output = check(clone)
+    assert code == 1
+    assert "last" in output
+    assert "the lock says that its stage wrote" in output
+
+
+def test_an_absent_lock_is_one_clear_line(clone):
+    (clone / "dvc.lock").unlink()
+    code, output = check(clone)
+    assert code == 1
+    assert "dvc.lock: no such file" in output
+
+
+def test_a_broken_pipeline_is_one_clear_line(clone):
+    (clone / "dvc.yaml").write_text("stages: [")
+    code, output = check(clone)
+    assert code == 1
+    assert "DVC cannot read the pipeline" in output

@@ -1,0 +1,281 @@
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numba
+import numpy as np
+import pytest
+import threadpoolctl
+
+from epiprior.errors import SettingsError
+from epiprior_lab import parallel
+from epiprior_lab.parallel import Task, TaskError, default_workers, map_tasks, single_threaded
+
+# The functions that run in tasks live in a module of their own that every worker can import.
+WORK = """
+import os, sys, time
+from pathlib import Path
+import cv2, numba, numpy as np, threadpoolctl
+
+FACTOR = 2
+
+def double(value, log=None):
+    if log is not None:
+        with Path(log).open("a") as file:
+            file.write(f"{value}\\n")
+    if value < 0:
+        raise ValueError(f"{value} is negative")
+    return FACTOR * value
+
+def slow(value, log):
+    time.sleep(0.05)
+    return double(value, log)
+
+def threads():
+    pools = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
+    return [os.getpid(), cv2.getNumThreads(), numba.get_num_threads(), max(pools, default=1)]
+
+def product(seed):
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(300, 300)).astype(np.float32)
+    return {"rows": rows @ rows.T, "name": sys.intern("rows"), "again": "rows"}
+
+def read(path):
+    return Path(path).read_text()
+
+def fill(array):
+    array[:] = 7
+    return array
+"""
+
+KILLED = """
+import os, sys
+from pathlib import Path
+import work
+from epiprior_lab.parallel import Task, map_tasks
+tasks = [Task(name=str(i), payload={"value": i, "log": sys.argv[2]}) for i in range(60)]
+map_tasks(work.slow, tasks, workers=int(sys.argv[3]), description="slow", store=Path(sys.argv[1]), code=())
+"""
+
+
+@pytest.fixture
+def work(tmp_path, monkeypatch):
+    folder = tmp_path / "work"
+    folder.mkdir()
+    (folder / "work.py").write_text(WORK, encoding="utf-8")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+    import work
+
+    yield work
+    del sys.modules["work"]
+
+
+@pytest.fixture
+def doubled(work, tmp_path):
+    """Double values through one store, and tell which of them were computed."""
+    log = tmp_path / "log"
+
+    def doubled(values, *, workers=1, **options):
+        log.write_text("")
+        tasks = [Task(name=f"pair {v}", payload={"value": v, "log": log}) for v in values]
+        store = tmp_path / "store"
+        results = map_tasks(
+            work.double, tasks, workers=workers, description="doubling", store=store, code=(), **options
+        )
+        return results, sorted(int(line) for line in log.read_text().split())
+
+    return doubled
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_keep_the_order_of_the_tasks(work, workers):
+    tasks = [Task(name=str(value), payload={"value": value}) for value in (5, 1, 4, 2)]
+    assert map_tasks(work.double, tasks, workers=workers, description="doubling") == [10, 2, 8, 4]
+
+
+def test_no_tasks(work, tmp_path):
+    assert map_tasks(work.double, [], workers=2, description="nothing", store=tmp_path / "store") == []
+
+
+def test_stored_results_are_used_again(doubled):
+    assert doubled([1, 2]) == ([2, 4], [1, 2])
+    assert doubled([3, 2, 1]) == ([6, 4, 2], [3])
+
+
+def test_the_store_does_not_grow_with_new_keys(doubled, work, tmp_path):
+    doubled([1, 2])
+    source = Path(work.__file__)
+    source.write_text(WORK + "# changed\n", encoding="utf-8")
+    assert doubled([1, 2])[1] == [1, 2]  # another source is another key
+    assert len(list((tmp_path / "store").iterdir())) == 2
+
+
+def test_payload_files_and_code_enter_the_key(work, tmp_path):
+    path, store = tmp_path / "input.txt", tmp_path / "store"
+    path.write_text("one")
+    task = Task(name="only", payload={"path": path}, files=(path,))
+    assert map_tasks(work.read, [task], workers=1, description="read", store=store) == ["one"]
+    path.write_text("two")
+    assert map_tasks(work.read, [task], workers=1, description="read", store=store) == ["two"]
+    blind = Task(name="only", payload={"path": path})
+    path.write_text("three")
+    assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
+    path.write_text("four")
+    assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
+    code = (parallel,)
+    assert map_tasks(work.read, [blind], workers=1, description="read", store=store, code=code) == ["four"]
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:-1] + b"?", lambda b: b""])
+def test_a_damaged_result_is_computed_again(doubled, tmp_path, damage):
+    doubled([1, 2])
+    victim = next((tmp_path / "store").glob("pair_2-*"))
+    victim.write_bytes(damage(victim.read_bytes()))
+    assert doubled([1, 2]) == ([2, 4], [2])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_failure_names_the_task_and_keeps_what_was_ready(doubled, workers):
+    with pytest.raises(TaskError, match=r"doubling: task 'pair -1' failed: ValueError: -1 is negative"):
+        doubled([1, 2, 3, 4, 5, 6, 7, -1], workers=workers)
+    again = doubled([1, 2, 3, 4], workers=workers)
+    assert again == ([2, 4, 6, 8], [])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_killed_run_continues(work, tmp_path, workers):
+    script, store, log = tmp_path / "killed.py", tmp_path / "store", tmp_path / "log"
+    script.write_text(KILLED, encoding="utf-8")
+    command = [sys.executable, str(script), str(store), str(log), str(workers)]
+    run = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while len(list(store.glob("*.result"))) < 10 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.killpg(run.pid, signal.SIGKILL)
+    run.wait()
+    before = {path.name for path in store.glob("*.result")}
+    assert 10 <= len(before) < 60
+    log.write_text("")
+    tasks = [Task(name=str(i), payload={"value": i, "log": str(log)}) for i in range(60)]
+    options = {"workers": 2, "description": "slow", "store": store, "code": ()}
+    assert map_tasks(work.slow, tasks, **options) == [2 * i for i in range(60)]
+    assert len(log.read_text().split()) == 60 - len(before)
+
+
+def test_one_and_two_workers_give_the_same_bytes(work, tmp_path):
+    def stored(workers):
+        store = tmp_path / f"{workers}"
+        tasks = [Task(name=f"{seed}", payload={"seed": seed}) for seed in range(6)]
+        map_tasks(work.product, tasks, workers=workers, description="products", store=store)
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in store.iterdir()}
+
+    one = stored(1)
+    assert len(one) == 6
+    assert one == stored(2)
+
+
+def test_tasks_see_one_thread_and_the_caller_gets_its_threads_back(work):
+    before = cv2.getNumThreads(), numba.get_num_threads()
+    tasks = [Task(name=str(i)) for i in range(6)]
+    alone = map_tasks(work.threads, tasks, workers=1, description="threads")
+    assert {tuple(row) for row in alone} == {(os.getpid(), 1, 1, 1)}
+    spread = map_tasks(work.threads, tasks, workers=2, description="threads")
+    assert os.getpid() not in {row[0] for row in spread}
+    assert {tuple(row[1:]) for row in spread} == {(1, 1, 1)}
+    assert (cv2.getNumThreads(), numba.get_num_threads()) == before
+
+
+def test_single_threaded_restores_the_environment(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with single_threaded():
+        assert os.environ["OMP_NUM_THREADS"] == os.environ["MKL_NUM_THREADS"] == "1"
+        assert all(pool["num_threads"] == 1 for pool in threadpoolctl.threadpool_info())
+    assert os.environ["OMP_NUM_THREADS"] == "3"
+    assert "MKL_NUM_THREADS" not in os.environ
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_arrays_are_writable_and_the_callers_own_stay(work, workers):
+    arrays = [np.zeros(300_000) for _ in range(2)]
+    tasks = [Task(name=str(i), payload={"array": array}) for i, array in enumerate(arrays)]
+    results = map_tasks(work.fill, tasks, workers=workers, description="fill")
+    assert all((result == 7).all() for result in results)
+    assert all((array == 0).all() for array in arrays)
+
+
+@dataclass(frozen=True)
+class Options:
+    low: float
+    high: float
+
+
+def test_equal_payloads_have_equal_keys_and_others_differ(work):
+    from epiprior_lab.task_store import ContentKeys
+
+    keys = ContentKeys(work.double, ())
+    payloads = [
+        {"a": 1},
+        {"a": 1.0},
+        {"a": True},
+        {"a": "1"},
+        {"a": [1, [2]]},
+        {"a": [[1], 2]},
+        {"a": (1, 2)},
+        {"a": ["1", "2"]},
+        {"a": ["12"]},
+        {"a": np.float64(1)},
+        {"a": np.zeros(4)},
+        {"a": np.zeros((2, 2))},
+        {"a": np.zeros(4, np.float32)},
+        {"a": Options(0, 1)},
+        {"a": Options(1, 0)},
+        {"a": None},
+        {"a": b"1"},
+        {"a": Path("1")},
+        {},
+    ]
+    assert len({keys.key(payload, ()) for payload in payloads}) == len(payloads)
+    assert keys.key({"a": 1, "b": [np.ones(2)]}, ()) == keys.key({"b": [np.ones(2)], "a": 1}, ())
+
+
+def test_bad_calls_are_named(work, tmp_path):
+    def call(task, *more, workers=1):
+        map_tasks(
+            work.double, [task, *more], workers=workers, description="doubling", store=tmp_path / "store"
+        )
+
+    with pytest.raises(SettingsError, match="workers = 0"):
+        call(Task(name="a"), workers=0)
+    with pytest.raises(SettingsError, match="repeated task name 'a'"):
+        call(Task(name="a"), Task(name="a"))
+    with pytest.raises(SettingsError, match="payload of task 'a': object has no stable key"):
+        call(Task(name="a", payload={"value": object()}))
+    with pytest.raises(TaskError, match=r"task 'a': cannot read .*absent\.jpg"):
+        call(Task(name="a", files=(tmp_path / "absent.jpg",)))
+
+
+def test_workers_come_from_the_environment(monkeypatch):
+    monkeypatch.setenv("EPIPRIOR_WORKERS", "3")
+    assert default_workers() == 3
+    monkeypatch.delenv("EPIPRIOR_WORKERS")
+    assert default_workers() >= 1
+    for text in ("0", "-1", "two", "1.5"):
+        monkeypatch.setenv("EPIPRIOR_WORKERS", text)
+        with pytest.raises(SettingsError, match=f"EPIPRIOR_WORKERS = '{text}'"):
+            default_workers()
+
+
+def test_progress_without_a_terminal_is_lines(work, capsys, monkeypatch):
+    monkeypatch.setattr(parallel, "_SECONDS_BETWEEN_LINES", 0.0)
+    tasks = [Task(name=str(value), payload={"value": value}) for value in range(3)]
+    map_tasks(work.double, tasks, workers=1, description="doubling")
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(" after")[0] for line in lines] == [f"doubling: {i} of 3" for i in (1, 2, 3, 3)]

@@ -1,0 +1,130 @@
+"""Synthetic matches of two cameras with known F, for tests of everything after the matching."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from epiprior.geometry import normalise_fundamental, sampson_distance
+from epiprior.types import BoolArray, FloatArray, MatchSet
+
+Scene = Literal["relief", "plane", "plane+", "rotation", "line"]
+
+WIDTH, HEIGHT, FOCAL = 1024, 768, 900.0
+K = np.array([[FOCAL, 0.0, WIDTH / 2], [0.0, FOCAL, HEIGHT / 2], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class SyntheticPair:
+    """Matches, which of them are right, the true F and noise-free control points."""
+
+    matches: MatchSet
+    right: BoolArray
+    F: FloatArray
+    control1: FloatArray
+    control2: FloatArray
+
+    def error_px(self, F: FloatArray | None) -> float:
+        """The paper's measure: mean root Sampson distance at the control points; inf without F."""
+        return np.inf if F is None else float(sampson_distance(F, self.control1, self.control2).mean())
+
+
+def rotation(axis: tuple[float, float, float], degrees: float) -> FloatArray:
+    a = np.asarray(axis) / np.linalg.norm(axis)
+    S = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+    t = np.deg2rad(degrees)
+    return np.eye(3) + np.sin(t) * S + (1 - np.cos(t)) * S @ S
+
+
+def skew(v: FloatArray) -> FloatArray:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def project(X: FloatArray, R: FloatArray, t: FloatArray) -> FloatArray:
+    Y = (X @ R.T + t) @ K.T
+    return Y[:, :2] / Y[:, 2:]
+
+
+def scene_points(scene: Scene, n: int, rng: np.random.Generator, off_plane: int) -> FloatArray:
+    """World points 8 to 12 units before both cameras."""
+    X = rng.uniform([-4, -3, -2], [4, 3, 2], (n, 3))
+    if scene in ("plane", "plane+"):
+        on = np.arange(n) >= (off_plane if scene == "plane+" else 0)
+        X[on, 2] = 0.3 * X[on, 0] - 0.2 * X[on, 1]
+        X[~on, 2] = rng.uniform(-3.0, -1.5, int((~on).sum()))
+    if scene == "line":
+        X = np.array([0.2, -0.3, 0.0]) + rng.uniform(-3.5, 3.5, (n, 1)) * np.array([[1.0, 0.4, 0.15]])
+    return X + [0.0, 0.0, 10.0]
+
+
+def make_matches(  # noqa: PLR0913
+    x1: FloatArray, x2: FloatArray, probability: FloatArray | None = None, **columns: object
+) -> MatchSet:
+    """A MatchSet in the given order; every match has its own two features unless told otherwise."""
+    n = len(x1)
+    values: dict[str, object] = {
+        "scale1": np.full(n, 3.0),
+        "scale2": np.full(n, 3.0),
+        "orientation1_deg": np.zeros(n),
+        "orientation2_deg": np.zeros(n),
+        "feature1": np.arange(n),
+        "feature2": np.arange(n),
+        "probability": np.full(n, np.nan) if probability is None else probability,
+        "supporting_matrices": np.zeros(n, np.int64),
+        "distance_ratio": np.linspace(0.5, 0.9, n),
+        "similarity_weight": np.zeros(n),
+        "similarity": np.full(n, 0.9),
+        "two_keypoint_probability": np.zeros(n),
+    }
+    return MatchSet(x1=np.asarray(x1, float), x2=np.asarray(x2, float), **(values | columns))  # type: ignore[arg-type]
+
+
+def make_pair(
+    *,
+    scene: Scene = "relief",
+    inliers: int = 200,
+    outliers: int = 100,
+    noise_px: float = 0.5,
+    order: float = 3.0,
+    off_plane: int = 30,
+    seed: int = 0,
+) -> SyntheticPair:
+    """Make matches of a scene, sorted by a probability that knows the truth to a degree.
+
+    `order` is the distance, in standard deviations, of the log odds of right and wrong matches: 0 is a random
+    order, 3 a good one. For ``rotation`` the second camera only turns; ``plane+`` puts `off_plane` of the
+    inliers before the plane.
+    """
+    rng = np.random.default_rng(seed)
+    R = rotation((0.1, 1.0, 0.05), 12.0)
+    centre = np.array([0.0, 0.0, 0.0]) if scene == "rotation" else np.array([2.2, 0.3, -0.4])
+    t = -R @ centre
+    X = scene_points(scene, 4 * inliers + 600, rng, 4 * off_plane if scene == "plane+" else 0)
+    head = 4 * off_plane if scene == "plane+" else 0
+    parts = []
+    for chunk, wanted in ((X[:head], off_plane if head else 0), (X[head:], inliers - (off_plane if head else 0))):
+        p1, p2 = project(chunk, np.eye(3), np.zeros(3)), project(chunk, R, t)
+        seen = ((p1 >= 0) & (p1 < [WIDTH, HEIGHT]) & (p2 >= 0) & (p2 < [WIDTH, HEIGHT])).all(axis=1)
+        parts.append((p1[seen][:wanted], p2[seen][:wanted]))
+    x1, x2 = (np.concatenate(side) for side in zip(*parts, strict=True))
+    assert len(x1) == inliers
+    y1 = np.concatenate([x1 + rng.normal(0, noise_px, x1.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))])
+    y2 = np.concatenate([x2 + rng.normal(0, noise_px, x2.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))])
+    right = np.arange(len(y1)) < inliers
+    prior = np.log((inliers + 1) / (outliers + 1))
+    logit = rng.normal(np.where(right, order / 2, -order / 2), 1.0) * max(order, 1.0) + prior
+    walk = np.argsort(-logit, kind="stable")
+    Ki = np.linalg.inv(K)
+    direction = t if np.linalg.norm(t) > 0 else np.array([1.0, 0, 0])
+    F = normalise_fundamental(Ki.T @ skew(direction) @ R @ Ki)
+    assert F is not None
+    control = scene_points("relief", 400, np.random.default_rng(seed + 1), 0)
+    return SyntheticPair(
+        make_matches(y1[walk], y2[walk], 1 / (1 + np.exp(-logit[walk]))),
+        right[walk],
+        F,
+        project(control, np.eye(3), np.zeros(3)),
+        project(control, R, t),
+    )
