@@ -73,11 +73,12 @@ endef
 
 $(VENV)/lock.stamp: requirements.lock
 	@$(check-python)
-	"$(PYTHON)" -m venv --clear $(VENV)
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	@echo "Making $(VENV) from requirements.lock with $(PYTHON): a few minutes"
+	@"$(PYTHON)" -m venv --clear $(VENV)
+	@$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.lock
 	@touch $@
 
 $(READY): $(VENV)/lock.stamp pyproject.toml
 	@mkdir -p models
-	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@

@@ -35,7 +35,8 @@ def rotation(axis: tuple[float, float, float], degrees: float) -> FloatArray:
     a = np.asarray(axis) / np.linalg.norm(axis)
     S = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
     t = np.deg2rad(degrees)
-    return np.eye(3) + np.sin(t) * S + (1 - np.cos(t)) * S @ S
+    R: FloatArray = np.eye(3) + np.sin(t) * S + (1 - np.cos(t)) * S @ S
+    return R
 
 
 def skew(v: FloatArray) -> FloatArray:
@@ -44,7 +45,8 @@ def skew(v: FloatArray) -> FloatArray:
 
 def project(X: FloatArray, R: FloatArray, t: FloatArray) -> FloatArray:
     Y = (X @ R.T + t) @ K.T
-    return Y[:, :2] / Y[:, 2:]
+    x: FloatArray = Y[:, :2] / Y[:, 2:]
+    return x
 
 
 def scene_points(scene: Scene, n: int, rng: np.random.Generator, off_plane: int) -> FloatArray:
@@ -56,10 +58,11 @@ def scene_points(scene: Scene, n: int, rng: np.random.Generator, off_plane: int)
         X[~on, 2] = rng.uniform(-3.0, -1.5, int((~on).sum()))
     if scene == "line":
         X = np.array([0.2, -0.3, 0.0]) + rng.uniform(-3.5, 3.5, (n, 1)) * np.array([[1.0, 0.4, 0.15]])
-    return X + [0.0, 0.0, 10.0]
+    X[:, 2] += 10.0
+    return X
 
 
-def make_matches(  # noqa: PLR0913
+def make_matches(
     x1: FloatArray, x2: FloatArray, probability: FloatArray | None = None, **columns: object
 ) -> MatchSet:
     """A MatchSet in the given order; every match has its own two features unless told otherwise."""
@@ -104,14 +107,21 @@ def make_pair(
     X = scene_points(scene, 4 * inliers + 600, rng, 4 * off_plane if scene == "plane+" else 0)
     head = 4 * off_plane if scene == "plane+" else 0
     parts = []
-    for chunk, wanted in ((X[:head], off_plane if head else 0), (X[head:], inliers - (off_plane if head else 0))):
+    for chunk, wanted in (
+        (X[:head], off_plane if head else 0),
+        (X[head:], inliers - (off_plane if head else 0)),
+    ):
         p1, p2 = project(chunk, np.eye(3), np.zeros(3)), project(chunk, R, t)
         seen = ((p1 >= 0) & (p1 < [WIDTH, HEIGHT]) & (p2 >= 0) & (p2 < [WIDTH, HEIGHT])).all(axis=1)
         parts.append((p1[seen][:wanted], p2[seen][:wanted]))
     x1, x2 = (np.concatenate(side) for side in zip(*parts, strict=True))
     assert len(x1) == inliers
-    y1 = np.concatenate([x1 + rng.normal(0, noise_px, x1.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))])
-    y2 = np.concatenate([x2 + rng.normal(0, noise_px, x2.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))])
+    y1 = np.concatenate(
+        [x1 + rng.normal(0, noise_px, x1.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))]
+    )
+    y2 = np.concatenate(
+        [x2 + rng.normal(0, noise_px, x2.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))]
+    )
     right = np.arange(len(y1)) < inliers
     prior = np.log((inliers + 1) / (outliers + 1))
     logit = rng.normal(np.where(right, order / 2, -order / 2), 1.0) * max(order, 1.0) + prior

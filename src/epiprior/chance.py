@@ -1,12 +1,13 @@
 """Could random matches do as well? The null model behind the statuses ``no_model`` and ``degenerate``.
 
-The best of many hypotheses always finds supporters, even among pure noise: 11 of 100 random matches, measured.
-Whether a support means anything is a question of how many supporters random matches would give. How often one
-random match lies within the threshold of F is measured on the pair itself, by joining points of image 1 with points of
-image 2 that belong to other matches; this sees clustered points and epipoles inside the image, where a formula over
-the area of the image does not.
+The best of many hypotheses always finds supporters, even among pure noise: 11 of 100 random matches,
+measured. Whether a support means anything is a question of how many supporters random matches would give. How
+often one random match lies within the threshold of F is measured on the pair itself, by joining points of
+image 1 with points of image 2 that belong to other matches; this sees clustered points and epipoles inside
+the image, where a formula over the area of the image does not.
 
-References: the idea is that of a-contrario RANSAC (Moisan and Stival, IJCV 2004); the count of hypotheses is ours.
+References: the idea is that of a-contrario RANSAC (Moisan and Stival, IJCV 2004); the count of hypotheses is
+ours.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from scipy.special import bdtrc
 
 from epiprior.geometry import sampson_distance
-from epiprior.types import BoolArray, FloatArray
+from epiprior.types import FloatArray
 
 HYPOTHESES = 100_000
 _PAIRINGS = 20_000
@@ -27,7 +28,8 @@ _PRIOR_PAIRINGS = 50.0
 def distinct_count(x1: FloatArray, x2: FloatArray) -> int:
     """Return how many matches remain if those that share a point, in either image, count once.
 
-    The smaller of the numbers of distinct points in the two images: an upper bound, exact for one-to-one matches.
+    The smaller of the numbers of distinct points in the two images: an upper bound, exact for one-to-one
+    matches.
     """
     if not len(x1):
         return 0
@@ -59,7 +61,8 @@ def chance_rate(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: flo
     y1 = np.tile(x1, (len(shifts), 1))
     y2 = np.concatenate([np.roll(x2, shift, axis=0) for shift in shifts])
     hits = int(np.count_nonzero(sampson_distance(F, y1, y2) < threshold_px))
-    # The mean chord of a w x h rectangle is pi w h / (2 (w + h)); a Sampson threshold t is a strip of 2 sqrt(2) t.
+    # The mean chord of a w x h rectangle is pi w h / (2 (w + h)); a Sampson threshold t is a strip of 2
+    # sqrt(2) t.
     extent = max(float(np.ptp(x2, axis=0).sum()), 1e-9)
     strip = min(math.sqrt(2.0) * math.pi * threshold_px / extent, 1.0)
     return min((hits + _PRIOR_PAIRINGS * strip) / (len(y1) + _PRIOR_PAIRINGS), 1.0)
@@ -81,7 +84,8 @@ def beyond_chance(supporters: int, matches: int, rate: float, fitted: int) -> bo
     -------
     bool
         True where fewer than one of the hypotheses is expected to reach `supporters` by chance. As many
-        hypotheses are counted as can be drawn, up to 100,000 (20,000 samples of up to three matrices each, and their local optimisation).
+        hypotheses are counted as can be drawn, up to 100,000 (20,000 samples of up to three matrices each,
+        and their local optimisation).
     """
     free = matches - fitted
     if supporters <= fitted or free <= 0:

@@ -38,23 +38,17 @@ _BAD_INPUT = 2
 class _Commands(TyperGroup):
     """Turn what can go wrong on a user's machine into one line on stderr; a bug keeps its traceback."""
 
-    def invoke(self, ctx: Any) -> Any:
-        """Run a command."""
+    def main(self, *args: Any, **options: Any) -> Any:
+        """Run the command line."""
         try:
-            result = super().invoke(ctx)
-            # A full disk shows here, not when the interpreter has gone.
-            sys.stdout.flush()
-        except BrokenPipeError:
-            raise
+            return super().main(*args, **options)
         except EpipriorError as error:
             complain(f"error: {error}")
         except OSError as error:
+            _drop_stdout()
             reason = error.strerror or str(error)
             complain(f"error: {error.filename}: {reason}" if error.filename else f"error: {reason}")
-            _drop_stdout()
-        else:
-            return result
-        raise typer.Exit(_BAD_INPUT)
+        sys.exit(_BAD_INPUT)
 
 
 def _drop_stdout() -> None:
@@ -294,8 +288,8 @@ def info(
 @app.command()
 def estimators(as_json: Json = False) -> None:
     """List the estimators: available here or what to install, and the licence of what runs."""
-    from epiprior.estimators import estimators as availability
-    from epiprior.estimators import licences
+    from epiprior.estimators.registry import estimators as availability
+    from epiprior.estimators.registry import licences
 
     licence = licences()
     if as_json:

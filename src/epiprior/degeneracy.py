@@ -1,14 +1,15 @@
 """Does anything decide F? Planar scenes, pure rotations, points on a line, identical images.
 
-A plane fixes F up to its epipole: every ``F = [e']x H`` explains the matches on it, and the two free numbers of the
-epipole are then fitted to whatever outliers lie about. Every estimator returns such an F with confidence and support.
+A plane fixes F up to its epipole: every ``F = [e']x H`` explains the matches on it, and the two free numbers
+of the epipole are then fitted to whatever outliers lie about. Every estimator returns such an F with
+confidence and support.
 """
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import bdtrc
 
 from epiprior.chance import beyond_chance, chance_rate, distinct_count
 from epiprior.geometry import sampson_distance
@@ -16,7 +17,7 @@ from epiprior.types import BoolArray, FloatArray
 
 _MATCHES_PER_EPIPOLE = 2
 _MATCHES_BESIDE_LINE = 4
-_PARALLAX_RATIO = 4.0
+_PARALLAX_LEVEL = 1e-4
 _NOTHING_MOVED_PX = 1e-3
 
 
@@ -40,9 +41,10 @@ def why_degenerate(
     threshold_px : float
         Inlier threshold on the Sampson distance.
     plane_threshold_px : float, optional
-        How far from the homography a match may lie and still be of the plane; 8/3 of `threshold_px` by default, that
-        is 4 px at 1.5 px. At the threshold of F itself, matches that are merely inaccurate would count as off the
-        plane (COLMAP tells planes at 4 px and not at 1.5 px, measured; USAC 1.0 uses 6.5 px).
+        How far from the homography a match may lie and still be of the plane; 8/3 of `threshold_px` by
+        default, that is 4 px at 1.5 px. At the threshold of F itself, matches that are merely inaccurate
+        would count as off the plane (COLMAP tells planes at 4 px and not at 1.5 px, measured; USAC 1.0 uses
+        6.5 px).
     rate : float, optional
         `chance_rate` of these arguments, where it is known already.
 
@@ -55,42 +57,39 @@ def why_degenerate(
     -----
     The plane's homography is fitted robustly to the inliers of F. F is held to be decided if either
 
-    - more inliers lie off the plane than chance gives: two matches off the plane fix the epipole, the others have
-      to fall on its epipolar lines. Their number is held against the best of all pairs of off-plane matches under the binomial law, the rate measured on the pair itself (`epiprior.chance`): with 100
+    - more inliers lie off the plane than chance gives: two matches off the plane fix the epipole, the others
+      have to fall on its epipolar lines. Their number is held against the best of all pairs of off-plane
+      matches under the binomial law, the rate measured on the pair itself (`epiprior.chance`): with 100
       outliers this takes about 5 or 6 matches off the plane, with 1,000 about 18; or
-    - the residuals of the inliers near the plane are longer along the epipolar lines than across them: their median
-      square at least 4 times as large, and beyond what the F distribution gives at 0.001. Noise has no such direction;
-      shallow relief, whose parallax stays below the plane's threshold, has. So low reliefs raise no alarm.
+    - of the matches near the plane more have a long residual along the epipolar line than across it: longer
+      than three standard deviations across, and more of them than a fair coin gives at 1e-4. Noise and
+      outliers have no such direction; shallow relief, whose parallax stays below the plane's threshold, has.
 
-    Points on one line, in either image, are treated likewise: the line's matches fix at most three of F's seven
-    parameters, so more than four matches beside it are needed than chance gives.
+    Points on one line, in either image, are treated likewise: the line's matches fix at most three of F's
+    seven parameters, so more than four matches beside it are needed than chance gives.
 
     References
     ----------
-    Hartley and Zisserman, section 11.1.2 (degenerate configurations); Chum, Werner and Matas, Two-view geometry
-    estimation unaffected by a dominant plane, CVPR 2005.
+    Hartley and Zisserman, section 11.1.2 (degenerate configurations); Chum, Werner and Matas, Two-view
+    geometry estimation unaffected by a dominant plane, CVPR 2005.
     """
     plane_px = plane_threshold_px if plane_threshold_px is not None else threshold_px * 8.0 / 3.0
     rate = chance_rate(F, x1, x2, threshold_px) if rate is None else rate
     inliers = sampson_distance(F, x1, x2) < threshold_px
     y1, y2 = x1[inliers], x2[inliers]
-    if not len(y1):
-        return "no match lies near F"
-    if np.mean(np.abs(y1 - y2).max(axis=1) < _NOTHING_MOVED_PX) > 0.5:
+    if not len(y1) or np.mean(np.abs(y1 - y2).max(axis=1) < _NOTHING_MOVED_PX) > 0.5:
         return "nothing moved between the images: they are identical, or the camera stood still"
     for name, x in (("1", x1), ("2", x2)):
         beside = ~_near_line(x, x[inliers], plane_px)
-        if not _decided_by(x1, x2, inliers, beside, rate, _MATCHES_BESIDE_LINE):
+        if not _decided_by(x1, x2, inliers, beside, rate=rate, fitted=_MATCHES_BESIDE_LINE):
             return f"the inliers lie on one line in image {name}"
     H = fit_homography(y1, y2, plane_px)
-    if H is None:
+    off_plane = np.ones(len(x1), np.bool_) if H is None else homography_distance(H, x1, x2) >= plane_px
+    if _decided_by(x1, x2, inliers, off_plane, rate=rate, fitted=_MATCHES_PER_EPIPOLE):
         return ""
-    off_plane = homography_distance(H, x1, x2) >= plane_px
-    if _decided_by(x1, x2, inliers, off_plane, rate, _MATCHES_PER_EPIPOLE):
+    if H is None or _parallax(F, H, x1[~off_plane], x2[~off_plane]):
         return ""
     near = inliers & ~off_plane
-    if _parallax(F, H, x1[near], x2[near]):
-        return ""
     return (
         f"one homography explains {np.count_nonzero(near)} of {np.count_nonzero(inliers)} inliers, "
         "and no more lie off it than chance gives: a planar scene or a pure rotation"
@@ -98,7 +97,7 @@ def why_degenerate(
 
 
 def _decided_by(
-    x1: FloatArray, x2: FloatArray, inliers: BoolArray, outside: BoolArray, rate: float, fitted: int
+    x1: FloatArray, x2: FloatArray, inliers: BoolArray, outside: BoolArray, *, rate: float, fitted: int
 ) -> bool:
     """Return whether more of the matches `outside` the degenerate part agree with F than chance gives."""
     supporters = distinct_count(x1[inliers & outside], x2[inliers & outside])
@@ -131,7 +130,7 @@ def fit_homography(x1: FloatArray, x2: FloatArray, threshold_px: float) -> Float
     for _ in range(3):
         if H is None or H.shape != (3, 3) or not np.isfinite(H).all():
             return None
-        near = homography_distance(H, x1, x2) < threshold_px
+        near = homography_distance(np.asarray(H, dtype=np.float64), x1, x2) < threshold_px
         if distinct_count(x1[near], x2[near]) <= 4:
             break
         H, _ = cv2.findHomography(x1[near], x2[near], 0)
@@ -141,47 +140,49 @@ def fit_homography(x1: FloatArray, x2: FloatArray, threshold_px: float) -> Float
 def homography_distance(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
     """Return the distance of each match from the homography, pixels: the smaller of both transfer errors.
 
-    The smaller, so that a change of scale between the images does not push matches off the plane; ``inf`` where a
-    point is mapped behind the camera or to infinity.
+    The smaller, so that a change of scale between the images does not push matches off the plane; ``inf``
+    where a point is mapped behind the camera or to infinity.
     """
     forward = np.linalg.norm(_transfer(H, x1) - x2, axis=1)
     try:
-        backward = np.linalg.norm(_transfer(np.linalg.inv(H), x2) - x1, axis=1)
+        back: FloatArray = np.linalg.inv(H).astype(np.float64)
     except np.linalg.LinAlgError:
-        backward = np.full(len(x1), np.inf)
-    return np.nan_to_num(np.fmin(forward, backward), nan=np.inf)
+        back = np.full((3, 3), np.nan)
+    backward = np.linalg.norm(_transfer(back, x2) - x1, axis=1)
+    smaller: FloatArray = np.nan_to_num(np.fmin(forward, backward), nan=np.inf)
+    return smaller
 
 
 def _transfer(H: FloatArray, x: FloatArray) -> FloatArray:
     y = x @ H[:, :2].T + H[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return y[:, :2] / y[:, 2:]
+        mapped: FloatArray = y[:, :2] / y[:, 2:]
+    return mapped
 
 
 def _near_line(x: FloatArray, support: FloatArray, threshold_px: float) -> BoolArray:
-    """Return which points of `x` lie near the line that most points of `support` lie on, if most lie on one."""
+    """Return which points of `x` lie near the line that most points of `support` lie on, if they do."""
     near = support
     for _ in range(5):
         centre = near.mean(axis=0)
         normal = np.linalg.eigh(np.cov(near - centre, rowvar=False, bias=True))[1][:, 0]
         distance = np.abs((support - centre) @ normal)
         near = support[distance <= max(threshold_px, float(np.median(distance)))]
-    return np.abs((x - centre) @ normal) < threshold_px
+    beside: BoolArray = np.abs((x - centre) @ normal) < threshold_px
+    return beside
 
 
 def _parallax(F: FloatArray, H: FloatArray, x1: FloatArray, x2: FloatArray) -> bool:
-    """Return whether residuals from the plane run along the epipolar lines of image 2 rather than across them."""
-    n = distinct_count(x1, x2)
-    if n <= 2 * _MATCHES_PER_EPIPOLE + 7:
-        return False
+    """Return whether residuals from the plane run along the epipolar lines rather than across them."""
     line = x1 @ F[:, :2].T + F[:, 2]
     norm = np.linalg.norm(line[:, :2], axis=1)
     keep = norm > 0
+    if not keep.any():
+        return False
     normal = line[keep, :2] / norm[keep, None]
-    across = np.abs((x2[keep] * normal).sum(axis=1) + line[keep, 2] / norm[keep])
     residual = x2[keep] - _transfer(H, x1[keep])
+    across = np.abs((residual * normal).sum(axis=1))
     along = np.abs(residual[:, 0] * normal[:, 1] - residual[:, 1] * normal[:, 0])
-    ratio = float(np.median(along) ** 2 / max(float(np.median(across) ** 2), 1e-12))
-    # A median tells as much of a variance as 0.37 times as many samples would tell in a mean square.
-    freedom = 0.37 * (n - 7)
-    return ratio > max(_PARALLAX_RATIO, float(f_distribution.ppf(0.999, freedom, freedom)))
+    limit = 3.0 * 1.4826 * float(np.median(across))
+    long_along, long_across = int(np.count_nonzero(along > limit)), int(np.count_nonzero(across > limit))
+    return long_along > 0 and bool(bdtrc(long_along - 1, long_along + long_across, 0.5) < _PARALLAX_LEVEL)

@@ -1,4 +1,4 @@
-"""How the matches are handed to an estimator: cut, made one-to-one, spread (method beyond the paper's section 4.7).
+"""How the matches are handed to an estimator: cut, made one-to-one, spread (beyond the paper, section 4.7).
 
 Which hand-over suits which estimator is chosen on validation scenes and kept in ``models/hand_over.json``.
 """
@@ -38,13 +38,15 @@ class HandOver:
     max_distance_ratio : float or None
         Only matches with d_r up to this, in (0, 1].
     spread : float or None
-        Walk down the ranking and skip a match if the cell of an 8 x 8 grid that it lies in, in either image, holds
-        this share of `top_k` already; in (0, 1], needs `top_k`. Against best matches that crowd in one corner.
+        Walk down the ranking and skip a match if the cell of an 8 x 8 grid that it lies in, in either image,
+        holds this share of `top_k` already (of all matches, if `top_k` is None); in (0, 1]. Against best
+        matches that crowd in one corner.
     threshold_px : float
         Inlier threshold of the estimator, working pixels, > 0.
     collect : bool
-        Collect support again over all one-to-one matches of the set, each weighted by its probability, and let this
-        decide between roll hypotheses. False: the number of inliers among the matches handed over (the paper).
+        Collect support again over all one-to-one matches of the set, each weighted by its probability, and
+        let this decide between roll hypotheses. False: the number of inliers among the matches handed over
+        (the paper).
     refine : bool
         Refine F on the matches that support is collected from, weighted by their probabilities.
 
@@ -74,8 +76,6 @@ class HandOver:
         self._check("max_distance_ratio", 1e-9, 1.0)
         self._check("spread", 1e-9, 1.0)
         self._check("threshold_px", 1e-9, 1e9)
-        if self.spread is not None and self.top_k is None:
-            raise SettingsError("spread is a share of top_k, which is not set")
 
     def _check(self, name: str, low: float, high: float) -> None:
         value = getattr(self, name)
@@ -134,7 +134,9 @@ def one_to_one_mask(feature1: IntArray, feature2: IntArray) -> BoolArray:
     """
     first, second = np.asarray(feature1, dtype=np.int64), np.asarray(feature2, dtype=np.int64)
     if first.shape != second.shape or first.ndim != 1:
-        raise FeatureError(f"feature1 and feature2 have shapes {first.shape} and {second.shape}, expected (N,) twice")
+        raise FeatureError(
+            f"feature1 and feature2 have shapes {first.shape} and {second.shape}, expected (N,) twice"
+        )
     if not len(first):
         return np.zeros(0, dtype=np.bool_)
     if min(first.min(), second.min()) < 0:
@@ -142,7 +144,9 @@ def one_to_one_mask(feature1: IntArray, feature2: IntArray) -> BoolArray:
     # Dense numbers keep the memory at the number of matches, whatever numbers the caller uses.
     unique1, dense1 = np.unique(first, return_inverse=True)
     unique2, dense2 = np.unique(second, return_inverse=True)
-    mask: BoolArray = _walk(dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_))
+    mask: BoolArray = _walk(
+        dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_)
+    )
     return mask
 
 
@@ -152,7 +156,8 @@ def spread_mask(x1: FloatArray, x2: FloatArray, *, top_k: int, share: float) -> 
     Parameters
     ----------
     x1, x2 : ndarray, shape (N, 2), float64
-        Matches, best first, pixels. The grid of 8 x 8 cells covers the rectangle that they fill in each image.
+        Matches, best first, pixels. The grid of 8 x 8 cells covers the rectangle that they fill in each
+        image.
     top_k : int
         How many are wanted; fewer come back where the cells are full.
     share : float
@@ -190,14 +195,17 @@ def hand_over(matches: MatchSet, how: HandOver) -> MatchSet:
     """
     if how.min_probability is not None:
         if np.isnan(matches.probability).any():
-            raise SettingsError(f"min_probability is {how.min_probability}, but the matches carry no probabilities")
+            raise SettingsError(
+                f"min_probability is {how.min_probability}, but the matches carry no probabilities"
+            )
         matches = matches.take(matches.probability >= how.min_probability)
     if how.max_distance_ratio is not None:
         matches = matches.take(matches.distance_ratio <= how.max_distance_ratio)
     if how.one_to_one:
         matches = matches.one_to_one()
-    if how.spread is not None and how.top_k is not None:
-        matches = matches.take(spread_mask(matches.x1, matches.x2, top_k=how.top_k, share=how.spread))
+    if how.spread is not None:
+        wanted = how.top_k or max(len(matches), 1)
+        matches = matches.take(spread_mask(matches.x1, matches.x2, top_k=wanted, share=how.spread))
     return matches if how.top_k is None else matches.take(slice(how.top_k))
 
 
@@ -233,8 +241,8 @@ def load_hand_overs(path: Path | None = None) -> dict[str, dict[str, HandOver]]:
     Parameters
     ----------
     path : Path, optional
-        JSON of the form ``{estimator: {input: {field: value}}}``; what it leaves out keeps its default. None: the
-        file that comes with the models; where there is none, the defaults of `default_hand_over`.
+        JSON of the form ``{estimator: {input: {field: value}}}``; what it leaves out keeps its default. None:
+        the file that comes with the models; where there is none, the defaults of `default_hand_over`.
 
     Raises
     ------
@@ -252,7 +260,9 @@ def load_hand_overs(path: Path | None = None) -> dict[str, dict[str, HandOver]]:
             raise SettingsError(f"{found}: unknown estimator {estimator!r}, known: {', '.join(table)}")
         for kind, values in _object(found, estimator, kinds).items():
             if kind not in INPUTS:
-                raise SettingsError(f"{found}: unknown input {kind!r} of {estimator}, known: {', '.join(INPUTS)}")
+                raise SettingsError(
+                    f"{found}: unknown input {kind!r} of {estimator}, known: {', '.join(INPUTS)}"
+                )
             table[estimator][kind] = _parse(f"{found}: {estimator}, {kind}", values, table[estimator][kind])
     return table
 
@@ -293,7 +303,9 @@ def _parse(where: str, values: object, default: HandOver) -> HandOver:
         raise SettingsError(f"{where}: {type(values).__name__}, expected an object")
     unknown = sorted(set(values) - {f.name for f in fields(HandOver)})
     if unknown:
-        raise SettingsError(f"{where}: unknown {', '.join(unknown)}; known: {', '.join(f.name for f in fields(HandOver))}")
+        raise SettingsError(
+            f"{where}: unknown {', '.join(unknown)}; known: {', '.join(f.name for f in fields(HandOver))}"
+        )
     try:
         return replace(default, **values)
     except SettingsError as error:

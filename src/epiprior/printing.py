@@ -39,9 +39,11 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(*header, title=title, title_justify="left")
+    table = Table(title=title, title_justify="left")
+    for name in header:
+        # A hash or a command is of use only as a whole.
+        table.add_column(name, overflow="fold")
     for row in rows:
-        # Square brackets in a cell are text, not markup.
         table.add_row(*map(escape, row))
     Console().print(table)
 

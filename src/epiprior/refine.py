@@ -14,9 +14,13 @@ SCORE_THRESHOLD_PX = 2.0
 
 
 def weighted_score(
-    F: FloatArray, x1: FloatArray, x2: FloatArray, weights: FloatArray, threshold_px: float = SCORE_THRESHOLD_PX
+    F: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    weights: FloatArray,
+    threshold_px: float = SCORE_THRESHOLD_PX,
 ) -> float:
-    """Return the sum of the weights of the matches, each reduced by its squared distance and cut at the threshold.
+    """Return the sum of the weights of the matches, each lowered by its squared distance, cut at a threshold.
 
     Parameters
     ----------
@@ -49,10 +53,10 @@ def refine_fundamental(
 ) -> FloatArray:
     """Return the best F of a series of weighted eight-point fits over shrinking thresholds.
 
-    Each fit takes the matches within the threshold of the F before it, by its weight, lowered towards the threshold
-    (Tukey's biweight) and divided by the squared gradient of the residual, so that what is minimised is the
-    Sampson distance. The F with the highest `weighted_score` is kept, the first one included: the result never
-    scores less than what went in.
+    Each fit takes the matches within the threshold of the F before it, by its weight, lowered towards the
+    threshold (Tukey's biweight) and divided by the squared gradient of the residual, so that what is
+    minimised is the Sampson distance. The F with the highest `weighted_score` is kept, the first one
+    included: the result never scores less than what went in.
 
     Parameters
     ----------
@@ -74,8 +78,8 @@ def refine_fundamental(
 
     References
     ----------
-    Shrinking thresholds: local optimisation of LO-RANSAC (Chum, Matas and Kittler, DAGM 2003) and of USAC. Weighing
-    by the probabilities of the matches is ours.
+    Shrinking thresholds: local optimisation of LO-RANSAC (Chum, Matas and Kittler, DAGM 2003) and of USAC.
+    Weighing by the probabilities of the matches is ours.
     """
     w = np.ones(len(x1)) if weights is None else np.asarray(weights, dtype=np.float64)
     # Matches that are far off now do not come back; the fits then run on a fraction of the matches.
@@ -96,7 +100,9 @@ def refine_fundamental(
     return best
 
 
-def _fit_weights(F: FloatArray, x1: FloatArray, x2: FloatArray, w: FloatArray, threshold: float) -> FloatArray:
+def _fit_weights(
+    F: FloatArray, x1: FloatArray, x2: FloatArray, w: FloatArray, threshold: float
+) -> FloatArray:
     """Return the weight of each match's squared algebraic residual in the next fit."""
     line2 = x1 @ F[:2, :2].T + F[:2, 2]
     line1 = x2 @ F[:2, :2] + F[2, :2]

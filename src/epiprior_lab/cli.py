@@ -17,15 +17,29 @@ app = typer.Typer(
 
 
 @app.command()
+def real(
+    datasets: Annotated[Path, typer.Argument(help="Folder of pair sets in the uniform format.")],
+    sets: Annotated[list[str] | None, typer.Option("--set", help="Only this set; may be repeated.")] = None,
+    seeds: Annotated[int, typer.Option(help="Repetitions of each estimate.")] = 3,
+    out: Annotated[Path, typer.Option(help="Table of results, a row per pair.")] = Path("reports/real.csv"),
+) -> None:
+    """Evaluate the exported model on sets of photographs, against both baselines."""
+    from epiprior_lab.real import run_real
+
+    run_real(datasets, sets=sets, seeds=seeds, out=out)
+
+
+@app.command()
 def promote(
     preset: Annotated[
         str, typer.Argument(help="Preset whose classifiers become champions: paper or default.")
     ],
 ) -> None:
-    """Give the registered classifiers of a preset the alias `champion` in MLflow."""
+    """Register a preset's newest exported classifiers in MLflow, with the alias `champion`."""
     from epiprior_lab import tracking
 
-    tracking.promote(preset)
+    for name, version in tracking.promote(preset).items():
+        typer.echo(f"{name}: version {version} is the champion")
 
 
 @app.command("check-lock")

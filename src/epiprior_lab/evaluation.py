@@ -1,4 +1,4 @@
-"""Estimators before and after the preprocessing step, on pairs with control points (paper, "General performance").
+"""Estimators before and after preprocessing, on pairs with control points (paper, "General performance").
 
 A pair is ranked once per preset; every estimator then runs on the same four inputs:
 
@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-import epiprior
 from epiprior.errors import SettingsError
 from epiprior.estimate import estimate_from_matches
+from epiprior.features import FeatureSettings, load_photograph
 from epiprior.handover import HandOver
+from epiprior.preprocess import rank_matches, snn_matches, standard_matches
 from epiprior.types import FloatArray, MatchSet
-from epiprior_lab.datasets import Pair
+from epiprior_lab.datasets import Pair, read_pair_set
 from epiprior_lab.ground_truth import LabelSettings, errors_px
 from epiprior_lab.parallel import Task, map_tasks
 from epiprior_lab.rankings import calibration_rows, curve_rows, ranked_lists, ranking_rows, roll_rows
@@ -77,11 +78,28 @@ class PairEvaluation:
 
 def write_rows(rows: Sequence[Row], path: Path) -> None:
     """Write rows of equal keys as CSV: seven significant digits, empty cells for NaN and None."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     frame = pd.DataFrame(rows)
     frame.to_csv(path, index=False, float_format="%.7g", lineterminator="\n")
 
 
-def pair_inputs(pair: Pair, inputs: Sequence[str]) -> dict[str, tuple[MatchSet, ...]]:
+@dataclass(frozen=True, kw_only=True)
+class PairMatches:
+    """The matches of one pair, made in several ways.
+
+    Parameters
+    ----------
+    sets : dict of str to tuple of MatchSet
+        Per input; baselines have one set, presets one per roll hypothesis.
+    pixel_factors : tuple of float
+        Given pixels per working pixel in both images, as `estimate_from_matches` wants them.
+    """
+
+    sets: dict[str, tuple[MatchSet, ...]]
+    pixel_factors: tuple[float, float]
+
+
+def match_pair(pair: Pair, inputs: Sequence[str]) -> PairMatches:
     """Match one pair in every asked way.
 
     Parameters
@@ -93,8 +111,8 @@ def pair_inputs(pair: Pair, inputs: Sequence[str]) -> dict[str, tuple[MatchSet, 
 
     Returns
     -------
-    dict of str to tuple of MatchSet
-        In the order of `inputs`; baselines have one set, presets one per roll hypothesis.
+    PairMatches
+        Inputs in the order that was asked for.
 
     Raises
     ------
@@ -104,33 +122,38 @@ def pair_inputs(pair: Pair, inputs: Sequence[str]) -> dict[str, tuple[MatchSet, 
     sets: dict[str, tuple[MatchSet, ...]] = {}
     for name in inputs:
         if name == "standard":
-            sets[name] = (epiprior.standard_matches(pair.image1, pair.image2),)
+            sets[name] = (standard_matches(pair.image1, pair.image2),)
         elif name == "snn":
-            sets[name] = (epiprior.snn_matches(pair.image1, pair.image2),)
+            sets[name] = (snn_matches(pair.image1, pair.image2),)
         elif name in PRESETS:
-            sets[name] = epiprior.rank_matches(pair.image1, pair.image2, preset=name).sets
+            sets[name] = rank_matches(pair.image1, pair.image2, preset=name).sets
         else:
             raise SettingsError(f"input is {name!r}, known: {', '.join(INPUTS)}")
-    return sets
+    limit = FeatureSettings().max_image_size
+    factors = load_photograph(pair.image1, limit).factor, load_photograph(pair.image2, limit).factor
+    return PairMatches(sets=sets, pixel_factors=factors)
 
 
 def estimate_row(
-    sets: Sequence[MatchSet],
+    matches: PairMatches,
     points: tuple[FloatArray, FloatArray],
     *,
     estimator: str,
+    input_name: str,
     seed: int,
     hand_over: HandOver,
 ) -> Row:
-    """Run one estimator and measure it at the control points.
+    """Run one estimator on one input and measure it at the control points.
 
     Parameters
     ----------
-    sets : sequence of MatchSet
-        One per roll hypothesis; the estimate with the largest support is kept (section 4.7).
+    matches : PairMatches
+        As from `match_pair`; of the roll hypotheses the best supported estimate is kept (section 4.7).
     points : tuple of ndarray, shape (N, 2), float64
         Control points in both images, pixels.
-    estimator, seed, hand_over
+    estimator, input_name : str
+        What runs on what.
+    seed, hand_over
         As for `epiprior.estimate.estimate_from_matches`.
 
     Returns
@@ -139,7 +162,13 @@ def estimate_row(
         ``status``, ``support``, ``iterations``, ``error_px`` (mean of the roots of the Sampson distances) and
         ``median_error_px``; the two errors are NaN without a fundamental matrix.
     """
-    estimate = estimate_from_matches(sets, estimator=estimator, seed=seed, hand_over=hand_over)
+    estimate = estimate_from_matches(
+        matches.sets[input_name],
+        estimator=estimator,
+        seed=seed,
+        hand_over=hand_over,
+        pixel_factors=matches.pixel_factors,
+    )
     distances = np.array([np.nan]) if estimate.F is None else errors_px(estimate.F, *points)
     return {
         "status": str(estimate.status),
@@ -152,7 +181,7 @@ def estimate_row(
 
 def result_rows(
     pair: Pair,
-    sets: Mapping[str, Sequence[MatchSet]],
+    matches: PairMatches,
     *,
     estimators: Sequence[str],
     seeds: Sequence[int],
@@ -164,8 +193,8 @@ def result_rows(
     ----------
     pair : Pair
         Gives the control points.
-    sets : mapping of str to sequence of MatchSet
-        As from `pair_inputs`.
+    matches : PairMatches
+        As from `match_pair`.
     estimators : sequence of str
         Names in the registry.
     seeds : sequence of int
@@ -176,12 +205,13 @@ def result_rows(
     points = pair.control_points()
     rows = []
     for estimator in estimators:
-        for name, matches in sets.items():
+        for name in matches.sets:
             for seed in seeds:
                 row = estimate_row(
                     matches,
                     points,
                     estimator=estimator,
+                    input_name=name,
                     seed=child_seed(seed, pair.pair_id),
                     hand_over=hand_overs[estimator][name],
                 )
@@ -190,6 +220,7 @@ def result_rows(
 
 
 def evaluate_pair(
+    *,
     pair: Pair,
     family: str,
     estimators: Sequence[str],
@@ -207,22 +238,22 @@ def evaluate_pair(
     family : str
         Name of the pair set; it leads every row, followed by pair id and scene.
     estimators, inputs, seeds, hand_overs
-        As for `result_rows` and `pair_inputs`.
+        As for `result_rows` and `match_pair`.
     labels : LabelSettings
         When a match counts as right in rankings and calibration.
     """
-    sets = pair_inputs(pair, inputs)
+    matches = match_pair(pair, inputs)
     key = {"family": family, "pair_id": pair.pair_id, "scene": pair.scene}
     rankings, curves, calibration = [], [], []
     for preset in (name for name in inputs if name in PRESETS):
         # The first set belongs to the expected roll; the second, if any, to none.
-        matches = sets[preset][0]
-        lists = ranked_lists(pair, matches, labels)
+        ranked = matches.sets[preset][0]
+        lists = ranked_lists(pair, ranked, labels)
         rankings += [{**key, "preset": preset, **row} for row in ranking_rows(lists)]
         curves += [{**key, "preset": preset, **row} for row in curve_rows(lists)]
-        calibration += [{**key, "preset": preset, **row} for row in calibration_rows(matches, lists["final"])]
-    results = result_rows(pair, sets, estimators=estimators, seeds=seeds, hand_overs=hand_overs)
-    roll = roll_rows(pair, sets["default"][0]) if "default" in sets else []
+        calibration += [{**key, "preset": preset, **row} for row in calibration_rows(ranked, lists["final"])]
+    results = result_rows(pair, matches, estimators=estimators, seeds=seeds, hand_overs=hand_overs)
+    roll = roll_rows(pair, matches.sets["default"][0]) if "default" in matches.sets else []
     return PairEvaluation(
         results=[{**key, **row} for row in results],
         rankings=rankings,
@@ -273,3 +304,15 @@ def evaluate_pairs(
     description = f"evaluate {family}"
     parts = map_tasks(evaluate_pair, tasks, workers=workers, description=description, store=store)
     return PairEvaluation.join(parts)
+
+
+def study_pairs(split: str, family: str, data: Path = Path("data")) -> tuple[Pair, ...]:
+    """Return the rendered pairs of one family and split, with their control points."""
+    control_points = data / "ground_truth" / split / family / "control_points"
+    return read_pair_set(data / "scenes" / split / family, control_points).pairs
+
+
+def model_files(models: Path, inputs: Sequence[str]) -> tuple[Path, ...]:
+    """Return the files of the models that the inputs need, sorted: they decide the matches."""
+    found = (models / name for name in inputs if name in PRESETS)
+    return tuple(sorted(path for folder in found for path in folder.iterdir() if path.is_file()))

@@ -162,7 +162,7 @@ def _tree_graph(converted: onnx.ModelProto, width: int, *, logistic: bool) -> by
     (node,) = [node for node in converted.graph.node if node.op_type == "TreeEnsembleClassifier"]
     found = {item.name: helper.get_attribute_value(item) for item in node.attribute}
     # Converters of scikit-learn give a weight to both classes, that of LightGBM gives the logit as class 0.
-    kept = [i for i, c in enumerate(found["class_ids"]) if c == max(found["class_ids"])]
+    kept = np.flatnonzero(np.array(found["class_ids"]) == max(found["class_ids"]))
     nodes = {key: value for key, value in found.items() if key.startswith("nodes_")}
     nodes.pop("nodes_missing_value_tracks_true", None)
     nodes.pop("nodes_hitrates", None)

@@ -292,7 +292,7 @@ def _float32_thresholds(booster: lightgbm.Booster) -> lightgbm.Booster:
     # A changed length of the text makes the sizes of the trees in it wrong; they are optional.
     text = re.sub(r"^(threshold=)(.*)$", rounded, booster.model_to_string(), flags=re.MULTILINE)
     text = re.sub(r"^tree_sizes=.*\n", "", text, flags=re.MULTILINE)
-    return lightgbm.Booster(model_str=text, params={"verbosity": -1})
+    return lightgbm.Booster(model_str=text)
 
 
 def round_down(values: FloatArray) -> Float32Array:

@@ -1,8 +1,8 @@
 """How matches are best handed to each estimator, chosen on validation scenes only.
 
-A coordinate-wise search: the settings of a hand-over are varied one after the other, the others staying at the best
-found so far. Baselines are searched as carefully as ranked matches, so that neither side is a straw man. Matching is
-done once per pair; every round is then one task per pair over all estimators and inputs.
+A coordinate-wise search: the settings of a hand-over are varied one after the other, the others staying at
+the best found so far. Baselines are searched as carefully as ranked matches, so that neither side is a straw
+man. Matching is done once per pair; every round is then one task per pair over all estimators and inputs.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from epiprior.handover import HandOver
-from epiprior.types import FloatArray, MatchSet
+from epiprior.types import FloatArray
 from epiprior_lab.datasets import Pair
-from epiprior_lab.evaluation import BASELINES, estimate_row, pair_inputs
+from epiprior_lab.evaluation import BASELINES, PairMatches, estimate_row, match_pair
 from epiprior_lab.parallel import Task, map_tasks
 from epiprior_lab.params import HandOverParams
 from epiprior_lab.seeds import child_seed
@@ -99,7 +99,7 @@ def coordinates(name: str, params: HandOverParams) -> list[tuple[str, tuple[Any,
 
 
 def starting_point(name: str, params: HandOverParams) -> HandOver:
-    """Return where the search begins: all matches for the baselines, a middle number of the best for the others."""
+    """Return where the search begins: all matches for the baselines, some of the best otherwise."""
 
     def middle(values: Sequence[Any]) -> Any:
         return values[len(values) // 2]
@@ -118,7 +118,7 @@ def starting_point(name: str, params: HandOverParams) -> HandOver:
 def candidate_errors(
     pair_id: str,
     points: tuple[FloatArray, FloatArray],
-    sets: dict[str, tuple[MatchSet, ...]],
+    matches: PairMatches,
     candidates: Sequence[tuple[str, str, HandOver]],
     seeds: Sequence[int],
 ) -> FloatArray:
@@ -130,8 +130,8 @@ def candidate_errors(
         Enters the seeds.
     points : tuple of ndarray, shape (N, 2), float64
         Control points of the pair, pixels.
-    sets : dict of str to tuple of MatchSet
-        Matches of the pair, per input.
+    matches : PairMatches
+        Matches of the pair.
     candidates : sequence of (estimator, input, HandOver)
         What is tried.
     seeds : sequence of int
@@ -145,8 +145,14 @@ def candidate_errors(
     errors = np.full((len(candidates), len(seeds)), np.nan)
     for i, (estimator, name, hand_over) in enumerate(candidates):
         for j, seed in enumerate(seeds):
-            child = child_seed(seed, pair_id)
-            row = estimate_row(sets[name], points, estimator=estimator, seed=child, hand_over=hand_over)
+            row = estimate_row(
+                matches,
+                points,
+                estimator=estimator,
+                input_name=name,
+                seed=child_seed(seed, pair_id),
+                hand_over=hand_over,
+            )
             errors[i, j] = row["error_px"]
     return errors
 
@@ -191,9 +197,7 @@ def search_hand_overs(
         )
         for pair in pairs
     ]
-    matched = map_tasks(
-        pair_inputs, tasks, workers=workers, description="match validation pairs", store=store
-    )
+    matched = map_tasks(match_pair, tasks, workers=workers, description="match validation pairs", store=store)
     points = [pair.control_points() for pair in pairs]
 
     def run(candidates: list[tuple[str, str, HandOver]], step: int) -> FloatArray:
@@ -203,12 +207,12 @@ def search_hand_overs(
                 payload={
                     "pair_id": pair.pair_id,
                     "points": xy,
-                    "sets": sets,
+                    "matches": matches,
                     "candidates": tuple(candidates),
                     "seeds": params.seeds,
                 },
             )
-            for pair, xy, sets in zip(pairs, points, matched, strict=True)
+            for pair, xy, matches in zip(pairs, points, matched, strict=True)
         ]
         description = f"hand-over, step {step + 1}"
         errors = map_tasks(candidate_errors, tasks, workers=workers, description=description, store=store)

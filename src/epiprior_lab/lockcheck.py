@@ -1,8 +1,8 @@
 """Tell whether ``dvc.lock`` belongs to this code, these parameters and these committed results.
 
 ``dvc status`` answers that only where the data are present. A clean clone has none, so this check asks DVC
-for the hashes of what git holds (code, parameters, models, reports), and compares cached data by what the lock
-says of them: a stage must have read what the stage before it wrote.
+for the hashes of what git holds (code, parameters, models, reports), and compares cached data by what the
+lock says of them: a stage must have read what the stage before it wrote.
 """
 
 import os

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +17,12 @@ METRICS = RANKING_METRICS + ROW_METRICS
 _CLIP = 1e-7
 
 
-def ranking_metrics(probability: FloatArray, labels: BoolArray, pair: NDArray[np.str_]) -> dict[str, float]:
+def ranking_metrics(
+    probability: FloatArray,
+    labels: BoolArray,
+    pair: NDArray[np.str_],
+    share: Mapping[str, float] | None = None,
+) -> dict[str, float]:
     """Return the means over pairs of the precision of the top 100 and of the average precision.
 
     Parameters
@@ -26,6 +33,9 @@ def ranking_metrics(probability: FloatArray, labels: BoolArray, pair: NDArray[np
         Which rows are right.
     pair : ndarray, shape (N,), str
         Pair of each row.
+    share : mapping of str to float, optional
+        For a pair of which only a random sample is here: its share of the pair's rows, in (0, 1]. The top 100
+        of all rows are then estimated by the top 100 times the share of the sample.
 
     Returns
     -------
@@ -37,7 +47,8 @@ def ranking_metrics(probability: FloatArray, labels: BoolArray, pair: NDArray[np
     bounds = np.flatnonzero(pair[order][1:] != pair[order][:-1]) + 1
     top, average = [], []
     for rows in np.split(order, bounds) if len(order) else []:
-        top.append(precision_of_top(probability[rows], labels[rows]))
+        here = 1.0 if share is None else share[str(pair[rows[0]])]
+        top.append(precision_of_top(probability[rows], labels[rows], max(1, round(TOP * here))))
         average.append(average_precision(probability[rows], labels[rows]))
     known = [value for value in average if np.isfinite(value)]
     return {

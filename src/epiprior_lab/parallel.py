@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import joblib
@@ -28,8 +27,6 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-import epiprior
-import epiprior_lab
 from epiprior.errors import EpipriorError, SettingsError
 from epiprior_lab.task_store import ContentKeys, read_result, result_path, write_result
 
@@ -85,7 +82,6 @@ def map_tasks(
     workers: int,
     description: str,
     store: Path | None = None,
-    code: Sequence[ModuleType] = (epiprior, epiprior_lab),
 ) -> list[Any]:
     """Call ``function(**task.payload)`` for every task.
 
@@ -101,10 +97,8 @@ def map_tasks(
         What the progress bar and error messages call this work.
     store : Path, optional
         Folder of results, made if absent. It keeps one result per function and task name, and uses it again
-        only if its key is the same: function, source of `code`, versions of the installed distributions,
-        payload, contents of the files. Give presets, families and splits a folder each.
-    code : sequence of modules
-        Packages or modules whose source decides the result. By default all of both packages.
+        only if its key is the same: function, source of its module and of all that this imports, versions of
+        the installed distributions, payload, contents of the files. Give presets and families a folder each.
 
     Returns
     -------
@@ -124,7 +118,7 @@ def map_tasks(
     repeated = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set()
     if repeated:
         raise SettingsError(f"{description}: repeated task name {min(repeated)!r}")
-    keys = ContentKeys(function, code)
+    keys = ContentKeys(function)
     results: list[Any] = [None] * len(tasks)
     jobs = []
     for index, task in enumerate(tasks):
@@ -201,9 +195,7 @@ def _key(keys: ContentKeys, task: Task, description: str) -> bytes:
 def _execute(jobs: list[_Job], workers: int) -> Iterator[tuple[int, bytes]]:
     """Yield results as they are ready."""
     if workers <= 1:
-        yield from (
-            _run(copy.deepcopy(job)) for job in jobs
-        )  # a task may change its arguments, as in a process
+        yield from (_run(copy.deepcopy(job)) for job in jobs)  # tasks own their arguments, as in processes
         return
     # Arrays are not memory-mapped: a task would see a read-only array with many workers and not with one.
     parallel = joblib.Parallel(

@@ -90,9 +90,6 @@ class FeatureParams(Section):
     """Candidate rows of the training pairs."""
 
     presets: tuple[Preset, ...]
-    seed: Seed
-    max_two_keypoint_rows: Rows
-    max_match_rows: Rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +108,9 @@ class TrainParams(Section):
     folds: Annotated[int, Range(2, 100)]
     families: tuple[str, ...]
     exported: ExportedFamilies
-    max_two_keypoint_rows: Rows
-    max_match_rows: Rows
+    max_rows_per_pair: Rows
+    max_rows: Rows
+    max_forest_rows: Rows
     max_svm_rows: Rows
 
     def __post_init__(self) -> None:

@@ -1,8 +1,8 @@
 """Rankings of the matches of one pair against the ground truth: precision, roll densities, calibration.
 
-The rankings are those of the paper's figure of cumulative precision and of its analysis: ``lowe`` (X_L by distance
-ratio), ``blogs`` (X_B by similarity weight), ``2keypoint`` (by the best 2keypoint match that holds the match), ``sfm``
-(by supporting fundamental matrices) and ``final`` (by probability).
+The rankings are those of the paper's figure of cumulative precision and of its analysis: ``lowe`` (X_L by
+distance ratio), ``blogs`` (X_B by similarity weight), ``2keypoint`` (by the best 2keypoint match that holds
+the match), ``sfm`` (by supporting fundamental matrices) and ``final`` (by probability).
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ def ranking_orders(matches: MatchSet) -> dict[str, IntArray]:
     Returns
     -------
     dict of str to ndarray, shape (n,), int64
-        For each of `RANKINGS`. Ties are broken by the features' indices, so that no ranking profits from another.
+        For each of `RANKINGS`. Ties are broken by the features' indices, so that no ranking profits from
+        another.
     """
 
     def order(score: np.ndarray[Any, Any], member: BoolArray) -> IntArray:
@@ -82,7 +83,7 @@ def ranked_lists(pair: Pair, matches: MatchSet, labels: LabelSettings) -> dict[s
 
 
 def ranking_rows(lists: dict[str, BoolArray]) -> list[Row]:
-    """Return one row per ranking: ``ranking, matches, right, precision_10, _100, _500, average_precision``."""
+    """Return one row per ranking: its size, right matches, precision at several depths, average precision."""
     return [
         {
             "ranking": name,
@@ -135,8 +136,8 @@ def true_roll_deg(pair: Pair) -> float:
 
     Notes
     -----
-    The angle of the rotation that lies closest to the upper left 2 x 2 block of the relative rotation: how directions
-    near the optical axis turn in the image, clockwise as seen on the screen.
+    The angle of the rotation that lies closest to the upper left 2 x 2 block of the relative rotation: how
+    directions near the optical axis turn in the image, clockwise as seen on the screen.
     """
     if pair.camera1 is None or pair.camera2 is None:
         return float("nan")
@@ -150,8 +151,8 @@ def roll_rows(pair: Pair, matches: MatchSet) -> list[Row]:
     Returns
     -------
     list of dict
-        ``true_roll_deg`` (from the cameras), ``expected_roll_deg`` (the highest peak), ``angle_deg`` in [0, 360) and
-        ``density`` per degree.
+        ``true_roll_deg`` (from the cameras), ``expected_roll_deg`` (the highest peak), ``angle_deg`` in [0,
+        360) and ``density`` per degree.
     """
     standard = (matches.distance_ratio < 1) | (matches.similarity_weight > 0)
     differences = orientation_differences(matches.orientation1_deg, matches.orientation2_deg)[standard]

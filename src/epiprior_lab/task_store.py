@@ -7,14 +7,14 @@ import importlib.metadata
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from epiprior.errors import SettingsError
+from epiprior_lab.source_graph import SOURCE, source_files
 
 _DIGEST_BYTES = 32
 
@@ -25,21 +25,22 @@ class ContentKeys:
     Parameters
     ----------
     function : callable
-        The function that is called.
-    code : sequence of modules
-        Packages or modules whose source decides the result; the module of `function` is always among them.
+        The function that is called. Its source is its module, and all of these packages that this imports.
 
     Raises
     ------
     SettingsError
-        If a module has no source file.
+        If the function's module has no source file.
     """
 
-    def __init__(self, function: Callable[..., Any], code: Sequence[ModuleType]) -> None:
-        modules = sorted({*code, sys.modules[function.__module__]}, key=lambda module: module.__name__)
+    def __init__(self, function: Callable[..., Any]) -> None:
+        module = sys.modules[function.__module__]
+        if module.__file__ is None:
+            raise SettingsError(
+                f"function {function.__qualname__}: module {module.__name__} has no source file"
+            )
         self._common = hashlib.sha256("\0".join([*_names(function), *_environment()]).encode())
-        for module in modules:
-            self._common.update(_source_digest(module))
+        self._common.update(_source_digest(source_files(Path(module.__file__).resolve())))
         self._files: dict[Path, bytes] = {}
 
     def key(self, payload: Mapping[str, Any], files: Sequence[Path]) -> bytes:
@@ -102,17 +103,12 @@ def _environment() -> tuple[str, ...]:
     return (sys.version, *sorted(versions))
 
 
-def _source_digest(module: ModuleType) -> bytes:
-    """Return the digest of a module's source, or of all Python files of a package."""
-    if module.__file__ is None:
-        raise SettingsError(f"module {module.__name__} has no source file")
-    path = Path(module.__file__)
-    root = path.parent
-    files = sorted(root.rglob("*.py")) if path.name == "__init__.py" else [path]
+def _source_digest(files: Iterable[Path]) -> bytes:
+    """Return the digest of source files; where the source folder lies does not matter."""
     digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.relative_to(root).as_posix().encode() + b"\0")
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    for file in sorted(files):
+        name = file.relative_to(SOURCE).as_posix() if file.is_relative_to(SOURCE) else file.name
+        digest.update(name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
     return digest.digest()
 
 

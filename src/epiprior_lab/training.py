@@ -117,6 +117,7 @@ def cross_validate(
     seed: int,
     grouped: bool = True,
     max_rows: int | None = None,
+    share: Mapping[str, float] | None = None,
 ) -> CrossValidation:
     """Fit a family without each fold in turn, and measure what it says of that fold.
 
@@ -140,6 +141,8 @@ def cross_validate(
         Fold by scene (`folds_by_scene`), or by row (`folds_by_row`).
     max_rows : int, optional
         Train on so many rows at most. All rows are predicted and measured.
+    share : mapping of str to float, optional
+        For pairs of which `X` holds a random sample; see `ranking_metrics`.
 
     Returns
     -------
@@ -166,9 +169,7 @@ def cross_validate(
     seconds = []
     for number in range(folds):
         held = fold == number
-        fitted = fit(
-            family, X[~held], y[~held], seed=child_seed(seed, family, str(number)), max_rows=max_rows
-        )
+        fitted = fit_without(family, X, y, held, number, seed=seed, max_rows=max_rows)
         rows = X[held]
         start = time.perf_counter()
         probability[held] = fitted.probability(rows)
@@ -178,7 +179,7 @@ def cross_validate(
         held = fold == number
         measured = row_metrics(probability[held], y[held])
         if grouped:
-            measured = ranking_metrics(probability[held], y[held], pair[held]) | measured
+            measured = ranking_metrics(probability[held], y[held], pair[held], share) | measured
         fold_metrics.append(measured)
     return CrossValidation(
         family=family,
@@ -186,10 +187,24 @@ def cross_validate(
         columns=columns,
         probability=probability,
         fold=fold,
-        metrics=ranking_metrics(probability, y, pair) | row_metrics(probability, y),
+        metrics=ranking_metrics(probability, y, pair, share) | row_metrics(probability, y),
         fold_metrics=tuple(fold_metrics),
         seconds_per_10000_rows=tuple(seconds),
     )
+
+
+def fit_without(
+    family: str,
+    X: Float32Array,
+    y: BoolArray,
+    held: BoolArray,
+    number: int,
+    *,
+    seed: int,
+    max_rows: int | None = None,
+) -> Fitted:
+    """Fit a family on all rows but those `held` out in fold `number`: the very classifier of `cross_validate`."""
+    return fit(family, X[~held], y[~held], seed=child_seed(seed, family, str(number)), max_rows=max_rows)
 
 
 def fit_final(

@@ -16,6 +16,7 @@ import threadpoolctl
 from epiprior.errors import SettingsError
 from epiprior_lab import parallel
 from epiprior_lab.parallel import Task, TaskError, default_workers, map_tasks, single_threaded
+from epiprior_lab.source_graph import source_files
 
 # The functions that run in tasks live in a module of their own that every worker can import.
 WORK = """
@@ -60,7 +61,7 @@ from pathlib import Path
 import work
 from epiprior_lab.parallel import Task, map_tasks
 tasks = [Task(name=str(i), payload={"value": i, "log": sys.argv[2]}) for i in range(60)]
-map_tasks(work.slow, tasks, workers=int(sys.argv[3]), description="slow", store=Path(sys.argv[1]), code=())
+map_tasks(work.slow, tasks, workers=int(sys.argv[3]), description="slow", store=Path(sys.argv[1]))
 """
 
 
@@ -87,7 +88,7 @@ def doubled(work, tmp_path):
         tasks = [Task(name=f"pair {v}", payload={"value": v, "log": log}) for v in values]
         store = tmp_path / "store"
         results = map_tasks(
-            work.double, tasks, workers=workers, description="doubling", store=store, code=(), **options
+            work.double, tasks, workers=workers, description="doubling", store=store, **options
         )
         return results, sorted(int(line) for line in log.read_text().split())
 
@@ -113,6 +114,7 @@ def test_the_store_does_not_grow_with_new_keys(doubled, work, tmp_path):
     doubled([1, 2])
     source = Path(work.__file__)
     source.write_text(WORK + "# changed\n", encoding="utf-8")
+    source_files.cache_clear()
     assert doubled([1, 2])[1] == [1, 2]  # another source is another key
     assert len(list((tmp_path / "store").iterdir())) == 2
 
@@ -129,8 +131,9 @@ def test_payload_files_and_code_enter_the_key(work, tmp_path):
     assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
     path.write_text("four")
     assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
-    code = (parallel,)
-    assert map_tasks(work.read, [blind], workers=1, description="read", store=store, code=code) == ["four"]
+    Path(work.__file__).write_text(WORK + "# changed\n", encoding="utf-8")
+    source_files.cache_clear()
+    assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["four"]
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:-1] + b"?", lambda b: b""])
@@ -164,7 +167,7 @@ def test_a_killed_run_continues(work, tmp_path, workers):
     assert 10 <= len(before) < 60
     log.write_text("")
     tasks = [Task(name=str(i), payload={"value": i, "log": str(log)}) for i in range(60)]
-    options = {"workers": 2, "description": "slow", "store": store, "code": ()}
+    options = {"workers": 2, "description": "slow", "store": store}
     assert map_tasks(work.slow, tasks, **options) == [2 * i for i in range(60)]
     assert len(log.read_text().split()) == 60 - len(before)
 
@@ -220,7 +223,7 @@ class Options:
 def test_equal_payloads_have_equal_keys_and_others_differ(work):
     from epiprior_lab.task_store import ContentKeys
 
-    keys = ContentKeys(work.double, ())
+    keys = ContentKeys(work.double)
     payloads = [
         {"a": 1},
         {"a": 1.0},

@@ -19,8 +19,8 @@ class ColmapEstimator:
 
     Notes
     -----
-    Points are passed with our pixel origin, so F comes back in it too: COLMAP's half pixel is no concern here.
-    At most 10,000 trials: they cost 0.1 s on 300 matches.
+    Points are passed with our pixel origin, so F comes back in it too: COLMAP's half pixel is no concern
+    here. At most 10,000 trials: they cost 0.1 s on 300 matches.
     """
 
     name: str = "colmap"

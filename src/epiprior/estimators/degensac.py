@@ -34,7 +34,7 @@ class DegensacEstimator:
 
     def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
         """Run ``pydegensac.findFundamentalMatrix``; it tells no iteration count."""
-        import pydegensac
+        import pydegensac  # type: ignore[import-not-found, unused-ignore]
 
         F, _ = pydegensac.findFundamentalMatrix(
             matches.x1,

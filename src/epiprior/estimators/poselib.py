@@ -24,8 +24,8 @@ class PoseLibEstimator:
     progressive : bool
         Whether samples are drawn progressively from the head of the ranking (PROSAC).
     max_iterations : int
-        Cap on the hypotheses. PoseLib stops by the plain RANSAC bound even when it samples progressively, and so
-        runs to the cap whenever inliers are rare: 5,000 cost 30 ms on 300 matches and 0.4 s on 6,000.
+        Cap on the hypotheses. PoseLib stops by the plain RANSAC bound even when it samples progressively, and
+        so runs to the cap whenever inliers are rare: 5,000 cost 30 ms on 300 matches and 0.4 s on 6,000.
 
     Notes
     -----

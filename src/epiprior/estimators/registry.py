@@ -33,7 +33,7 @@ def estimators() -> dict[str, str]:
 
 
 def licences() -> dict[str, str]:
-    """Return, for each estimator, the licence of its backend."""
+    """Return the licence of what each estimator runs."""
     return {name: estimator.licence for name, estimator in _REGISTRY.items()}
 
 
@@ -83,7 +83,7 @@ class Fit:
 
 
 def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None) -> Fit:
-    """Run one estimator and check that its matrix is finite and of rank 2; whether it means anything is left open.
+    """Run one estimator and check that its matrix is finite and of rank 2, but not whether it means anything.
 
     Parameters
     ----------
@@ -118,7 +118,13 @@ def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSetti
     raw = estimator.fit(distinct, seed=int(seed) % SEED_LIMIT, settings=settings or EstimatorSettings())
     F = None if raw.F is None else normalise_fundamental(raw.F)
     if F is None:
-        return _no_fit(estimator, Status.NO_MODEL, "the estimator found no finite matrix of rank 2", start, raw.iterations)
+        return _no_fit(
+            estimator,
+            Status.NO_MODEL,
+            "the estimator found no finite matrix of rank 2",
+            start,
+            raw.iterations,
+        )
     seconds = time.perf_counter() - start
     version = estimator.version()
     return Fit(F=F, status=Status.OK, message="", iterations=raw.iterations, version=version, seconds=seconds)

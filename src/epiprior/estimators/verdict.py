@@ -1,4 +1,4 @@
-"""epiprior's own look at what a backend returned: the mask, whether it means anything, whether anything decides it."""
+"""epiprior's own verdict on F: whether its support means anything, and whether anything decides it."""
 
 from __future__ import annotations
 
@@ -34,6 +34,9 @@ def judge(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) ->
         return Status.NO_MODEL, f"only {distinct} distinct inliers, at least {MIN_MATCHES} are needed"
     rate = chance_rate(F, x1, x2, threshold_px)
     if not beyond_chance(distinct, distinct_count(x1, x2), rate, _MATCHES_PER_F):
-        return Status.NO_MODEL, f"{distinct} distinct inliers of {len(x1)} matches are no more than chance gives"
+        return (
+            Status.NO_MODEL,
+            f"{distinct} distinct inliers of {len(x1)} matches are no more than chance gives",
+        )
     why = why_degenerate(F, x1, x2, threshold_px=threshold_px, rate=rate)
     return (Status.DEGENERATE, why) if why else (Status.OK, "")

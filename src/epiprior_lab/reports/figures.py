@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from matplotlib.axes import Axes
 
 from epiprior_lab.reports.study import Study, errors_of, order_of
 from epiprior_lab.reports.style import (
+    GRID,
     INK,
     INPUT_LOOKS,
     MUTED,
@@ -48,14 +48,15 @@ def performance_figure(table: pd.DataFrame, threshold_px: float, path: Path) -> 
             part = at[at["family"] == family]
             pairs = int(part["pairs"].max())
             y = np.arange(len(part))[::-1]
-            axis.hlines(
-                y, part[inputs].min(axis=1), part[inputs].max(axis=1), color="#d6dae0", lw=2.5, zorder=1
-            )
-            for name in inputs:
+            for between in y[1:] + 0.5:
+                axis.axhline(between, color=GRID, lw=0.8)
+            for k, name in enumerate(inputs):
                 look = INPUT_LOOKS[name]
+                height = y + 0.13 * ((len(inputs) - 1) / 2 - k)  # equal numbers must not hide each other
                 axis.errorbar(
-                    part[name], y, xerr=part[f"{name}_sd"], fmt=look.marker, color=look.colour,
-                    ms=7 if name == "default" else 5.5, lw=1.1, zorder=3, mec="white", mew=0.7, label=look.label,
+                    part[name], height, xerr=part[f"{name}_sd"], fmt=look.marker, color=look.colour,
+                    ms=7 if name == "default" else 5.5, lw=1.1, mec="white", mew=0.7, zorder=3,
+                    label=look.label,
                 )  # fmt: skip
             axis.set(title=family, xlim=(-0.03 * pairs, 1.03 * pairs), ylim=(-0.6, len(part) - 0.4))
             axis.set_yticks(y, list(part["estimator"]))
@@ -68,9 +69,9 @@ def performance_figure(table: pd.DataFrame, threshold_px: float, path: Path) -> 
 
 
 def success_figure(study: Study, path: Path, limit_px: float = CURVE_LIMIT_PX) -> Path:
-    """Draw successful pairs over the threshold, a row per family and a column per estimator (paper, figure of results).
+    """Draw successful pairs over the threshold: a row per family, a column per estimator.
 
-    Bars are one standard deviation over seeds.
+    Bars are one standard deviation over seeds, as in the paper's figure of results.
     """
     estimators, inputs = order_of(study.results["estimator"]), order_of(study.results["input"])
     grid = np.linspace(0, limit_px, 201)
@@ -172,7 +173,7 @@ def _roll_panel(axis: Axes, part: pd.DataFrame) -> None:
 
 
 def calibration_figure(study: Study, path: Path) -> Path:
-    """Draw, per preset, the share of right matches over the stated probability, and how many matches say so."""
+    """Draw, per preset, the share of right matches over the stated probability, and how many state it."""
     presets = order_of(study.calibration["preset"])
     with styled(2, len(presets), (4.2 * len(presets), 5.2), sharex=True) as (figure, axes):
         for k, preset in enumerate(presets):
@@ -188,7 +189,9 @@ def calibration_figure(study: Study, path: Path) -> Path:
             lower.bar(place, sums.right, width * 0.92, color="#0072b2", label="right matches")
             lower.set(yscale="log", xlim=(0, 1), xlabel="stated probability")
             brier, gap = sums.brier_score, sums.expected_calibration_error
-            upper.set(title=f"preset {preset}: Brier {brier:.3f}, calibration error {gap:.3f}", ylim=(0, 1))
+            upper.set(title=f"preset {preset}", ylim=(0, 1))
+            note = f"Brier score {brier:.4f}\nexpected calibration error {gap:.4f}"
+            upper.text(0.97, 0.05, note, transform=upper.transAxes, ha="right", va="bottom", color=INK)
         axes[0][0].set_ylabel("share of right matches")
         axes[1][0].set_ylabel("matches of all test pairs")
         axes[0][0].legend(loc="upper left")
@@ -236,8 +239,7 @@ _SETTING_NAMES = {
 
 def _sweep_panel(axis: Axes, part: pd.DataFrame, setting: str) -> None:
     """Draw the trials of one setting, and the best trial before it, from which they vary."""
-    used = part[part["step"] == setting]
-    levels = _levels(part[setting] if used.empty else part.loc[part["input"].isin(used["input"]), setting])
+    lines = []
     for k, name in enumerate(order_of(part["input"])):
         of_input = part[part["input"] == name]
         varied = of_input[of_input["step"] == setting]
@@ -246,9 +248,14 @@ def _sweep_panel(axis: Axes, part: pd.DataFrame, setting: str) -> None:
         before = of_input.loc[: varied.index[0]].iloc[:-1]
         score = ["successes_10", "successes_3", "area"]
         trials = pd.concat([varied, before.sort_values(score, kind="stable").tail(1)])
+        lines.append((look_of(INPUT_LOOKS, name, k), trials))
+    if not lines:
+        axis.set_axis_off()
+        return
+    levels = _levels(setting, pd.concat([trials[setting] for _, trials in lines]))
+    for look, trials in lines:
         x = np.array([levels.index(_level(value)) for value in trials[setting]])
         order = np.argsort(x, kind="stable")
-        look = look_of(INPUT_LOOKS, name, k)
         y = trials["successes_10"].to_numpy()
         axis.plot(x[order], y[order], color=look.colour, ls=look.line, marker=look.marker, ms=4, lw=1.3)
     axis.set_xticks(range(len(levels)), levels)
@@ -261,7 +268,8 @@ def _level(value: Any) -> str:
     return "none" if pd.isna(value) else f"{float(value):g}"
 
 
-def _levels(values: Sequence[Any] | pd.Series[Any]) -> list[str]:
-    """Return the different values in ascending order, no limit last."""
+def _levels(setting: str, values: pd.Series[Any]) -> list[str]:
+    """Return the different values from strict to loose: no limit comes last, no floor comes first."""
     different = {_level(value): value for value in values}
-    return sorted(different, key=lambda t: (t == "none", different[t] if t != "none" else 0))
+    none = -np.inf if setting == "min_probability" else np.inf
+    return sorted(different, key=lambda text: none if text == "none" else float(different[text]))

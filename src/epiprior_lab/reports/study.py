@@ -20,8 +20,8 @@ COLUMNS = {
     "ranking_curves": "family pair_id scene preset ranking rank right",
     "roll": "family pair_id scene true_roll_deg expected_roll_deg angle_deg density",
     "calibration": "family pair_id scene preset bin count right probability squared_error",
-    "hand_over": "estimator input step one_to_one top_k min_probability max_distance_ratio threshold_px pairs "
-    "successes_10 successes_3 area chosen",
+    "hand_over": "estimator input step one_to_one top_k min_probability max_distance_ratio spread "
+    "threshold_px collect refine pairs successes_10 successes_3 area chosen",
     "classifiers": "target family grouped fold metric value",
 }
 
@@ -114,9 +114,10 @@ def read_table(path: Path, columns: str) -> pd.DataFrame:
 
 
 def errors_of(results: pd.DataFrame, **where: Any) -> pd.DataFrame:
-    """Return errors, one row per pair and one column per seed, for the rows that agree with `where`.
+    """Return errors for the rows that agree with `where`, one row per pair, one column per seed.
 
-    Rows are ordered by pair id. A run whose status is not ``ok`` has an infinite error, whatever its cell says.
+    Rows are ordered by pair id. A run whose status is not ``ok`` has an infinite error, whatever its cell
+    says.
     """
     rows = results
     for column, value in where.items():
@@ -128,7 +129,7 @@ def errors_of(results: pd.DataFrame, **where: Any) -> pd.DataFrame:
 
 
 def success_rates(results: pd.DataFrame, threshold_px: float, **where: Any) -> tuple[FloatArray, list[str]]:
-    """Return the share of seeds below the threshold for each pair, and the pairs' scenes, ordered by pair id."""
+    """Return the share of seeds below the threshold for each pair, and the pairs' scenes, by pair id."""
     errors = errors_of(results, **where)
     rates = (errors.to_numpy() < threshold_px).mean(axis=1)
     return rates, [str(scene) for scene in errors.index.get_level_values("scene")]

@@ -1,4 +1,4 @@
-"""One look for all figures: colours that colour-blind readers tell apart, quiet axes, and the same bytes every time."""
+"""One look for all figures: colours that colour-blind readers tell apart, quiet axes, stable bytes."""
 
 from __future__ import annotations
 

@@ -32,10 +32,10 @@ def performance_table(study: Study, *, thresholds_px: Sequence[float], draws: in
     Returns
     -------
     DataFrame
-        One row per threshold, family (``all`` last) and estimator: ``pairs``; for each input the number of successful
-        pairs in the mean over seeds and its deviation ``<input>_sd``; for each of `COMPARISONS` the contribution
-        ``<with>_over_<without>`` with the ends of its 95 % interval, ``_low`` and ``_high``, as shares, and the
-        difference in pairs ``<with>_minus_<without>``, likewise.
+        One row per threshold, family (``all`` last) and estimator: ``pairs``; for each input the number of
+        successful pairs in the mean over seeds and its deviation ``<input>_sd``; for each of `COMPARISONS`
+        the contribution ``<with>_over_<without>`` with the ends of its 95 % interval, ``_low`` and
+        ``_high``, as shares, and the difference in pairs ``<with>_minus_<without>``, likewise.
     """
     rows = []
     inputs = order_of(study.results["input"])
@@ -135,8 +135,9 @@ def classifier_table(study: Study) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``preset, target, family, metric``, ``grouped`` and ``ungrouped`` (over all rows where the training stage gives
-        it, else the mean over folds), their deviations over folds ``grouped_sd`` and ``ungrouped_sd``.
+        ``preset, target, family, metric``, ``grouped`` and ``ungrouped`` (over all rows where the training
+        stage gives it, else the mean over folds), their deviations over folds ``grouped_sd`` and
+        ``ungrouped_sd``.
     """
     table = study.classifiers.assign(fold=study.classifiers["fold"].astype(str))
     grouped = table["grouped"].astype(str).str.lower().isin(["true", "1"])
@@ -181,12 +182,12 @@ def performance_markdown(table: pd.DataFrame) -> str:
     lines = [
         "# Successes without and with the preprocessing step",
         "",
-        "Number of test pairs whose error (mean over control points of the root of the Sampson distance) is below the",
-        "threshold: mean over seeds ± one standard deviation. The contribution is (with - without) / without, as in",
-        "the paper, with a 95 % bootstrap interval over scenes; `new` where nothing succeeded without.",
-        "`standard`: X_L of the paper. `snn`: RootSIFT, mutual nearest neighbours, ratio test. `paper`: the method",
-        "as printed. `default`: the method with our improvements. Every input is handed over in the way that did",
-        "best on validation scenes.",
+        "Number of test pairs whose error (mean over control points of the root of the Sampson distance) is",
+        "below the threshold: mean over seeds ± one standard deviation. The contribution is",
+        "(with - without) / without, as in the paper, with a 95 % bootstrap interval over scenes; `new`",
+        "where nothing succeeded without. `standard`: X_L of the paper. `snn`: RootSIFT, mutual nearest",
+        "neighbours, ratio test. `paper`: the method as printed. `default`: the method with our",
+        "improvements. Every input is handed over in the way that did best on validation scenes.",
     ]
     for threshold, at in table.groupby("threshold_px", sort=False):
         lines += ["", f"## Below {threshold:g} px"]

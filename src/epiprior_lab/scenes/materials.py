@@ -17,18 +17,18 @@ MASONRY: tuple[Masonry, ...] = ("brick", "ashlar", "plaster", "tiles", "planks",
 Colour = tuple[float, float, float]
 
 WALL_COLOURS: tuple[Colour, ...] = (
-    (196, 178, 148), (168, 92, 68), (150, 74, 58), (182, 182, 176), (214, 196, 140), (202, 148, 118), (222, 216, 204),
-    (146, 138, 122), (164, 152, 132), (120, 124, 128), (188, 160, 120), (128, 98, 80), (176, 190, 180), (206, 186, 168),
+    (190, 176, 152), (156, 96, 76), (140, 82, 66), (182, 182, 176), (206, 194, 158), (190, 152, 130), (220, 216, 206),
+    (146, 138, 122), (164, 152, 132), (120, 124, 128), (182, 160, 130), (126, 102, 86), (178, 186, 180), (204, 188, 172),
 )  # fmt: skip
 ROOF_COLOURS: tuple[Colour, ...] = ((138, 70, 52), (92, 90, 94), (116, 64, 52), (74, 78, 88), (150, 96, 72))
 
 # Heights and widths of stones in metres, how much their tones differ, and how dark their joints are.
 _COURSES: dict[str, tuple[tuple[float, float], tuple[float, float], float, float]] = {
-    "brick": ((0.075, 0.12), (0.22, 0.34), 0.10, 0.16),
-    "ashlar": ((0.32, 0.6), (0.5, 1.1), 0.06, 0.22),
-    "tiles": ((0.25, 0.6), (0.25, 0.6), 0.04, 0.18),
-    "planks": ((0.12, 0.22), (1.5, 4.0), 0.09, 0.30),
-    "rubble": ((0.18, 0.3), (0.25, 0.6), 0.15, 0.28),
+    "brick": ((0.075, 0.11), (0.22, 0.34), 0.06, 0.10),
+    "ashlar": ((0.32, 0.6), (0.5, 1.1), 0.035, 0.16),
+    "tiles": ((0.25, 0.6), (0.25, 0.6), 0.03, 0.14),
+    "planks": ((0.12, 0.22), (1.5, 4.0), 0.06, 0.22),
+    "rubble": ((0.18, 0.3), (0.25, 0.6), 0.10, 0.20),
 }
 
 
@@ -62,7 +62,7 @@ class WallStyle:
 def jittered(rng: np.random.Generator, colour: Colour, by: float) -> Colour:
     """Return a colour near another: brightness and each channel changed by up to the part `by`."""
     factor = 1.0 + rng.uniform(-by, by)
-    r, g, b = (float(np.clip(c * factor * (1 + rng.uniform(-by, by) / 2), 8, 245)) for c in colour)
+    r, g, b = (float(np.clip(c * factor * (1 + rng.uniform(-by, by) / 6), 8, 245)) for c in colour)
     return r, g, b
 
 
@@ -77,8 +77,8 @@ def wall_style(rng: np.random.Generator, *, distinct: float) -> WallStyle:
         second_colour=jittered(rng, colour, 0.3),
         course_m=float(rng.uniform(*course)),
         stone_m=float(rng.uniform(*stone)),
-        roughness=float(rng.uniform(0.03, 0.06) + 0.08 * distinct * rng.uniform(0.5, 1.0)),
-        stains=float(rng.uniform(0.02, 0.05) + 0.10 * distinct * rng.uniform(0.5, 1.0)),
+        roughness=float(rng.uniform(0.01, 0.03) + 0.05 * distinct * rng.uniform(0.4, 1.0)),
+        stains=float(rng.uniform(0.02, 0.05) + 0.09 * distinct * rng.uniform(0.4, 1.0)),
     )
 
 
@@ -113,9 +113,9 @@ def courses(
 def wall(rng: np.random.Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float) -> Image:
     """Return a wall, shape (height, width, 3), that repeats only what its masonry repeats."""
     relief = style.roughness * surface(
-        rng, height, width, ("gravel", "grass", "tissue", "moon"), zoom=float(rng.uniform(0.5, 1.4))
+        rng, height, width, ("gravel", "grass", "tissue", "moon"), zoom=float(rng.uniform(0.8, 2.5))
     )
-    relief += style.roughness * noise(rng, height, width, "fine")
+    relief += 0.7 * style.roughness * noise(rng, height, width, "fine")
     stains = noise(rng, height, width, "coarse")
     relief += style.stains * stains + 0.5 * style.stains * noise(rng, height, width, "middle")
     if style.masonry in _COURSES:
@@ -148,18 +148,18 @@ def roof(rng: np.random.Generator, height: int, width: int, *, texels_per_m: flo
     relief = courses(
         rng, height, width,
         course_px=rng.uniform(0.2, 0.35) * texels_per_m, stone_px=rng.uniform(0.2, 0.35) * texels_per_m,
-        tones=0.12, joints=0.35,
+        tones=0.08, joints=0.25,
     )  # fmt: skip
-    relief += 0.08 * noise(rng, height, width, "middle") + 0.08 * noise(rng, height, width, "fine")
+    relief += 0.08 * noise(rng, height, width, "middle") + 0.04 * noise(rng, height, width, "fine")
     return tinted(colour, relief, (90, 96, 70), np.clip(0.25 * noise(rng, height, width, "coarse"), 0, 1))
 
 
 def pavement(rng: np.random.Generator, height: int, width: int, *, texels_per_m: float) -> Image:
     """Return a floor: slabs, setts, asphalt, gravel or grass."""
     kind = rng.choice(("slabs", "setts", "asphalt", "gravel", "grass"))
-    relief = 0.07 * noise(rng, height, width, "coarse") + 0.06 * noise(rng, height, width, "fine")
+    relief = 0.07 * noise(rng, height, width, "coarse") + 0.03 * noise(rng, height, width, "fine")
     if kind == "grass":
-        relief += 0.28 * surface(rng, height, width, ("grass",), zoom=float(rng.uniform(0.5, 1.0)))
+        relief += 0.16 * surface(rng, height, width, ("grass",), zoom=float(rng.uniform(0.4, 0.8)))
         return tinted((104, 118, 62), relief, (150, 140, 84), np.clip(0.4 + 0.4 * noise(rng, height, width, "middle"), 0, 1))
     grey = jittered(rng, (140, 134, 126), 0.2)
     if kind in ("slabs", "setts"):
@@ -168,8 +168,8 @@ def pavement(rng: np.random.Generator, height: int, width: int, *, texels_per_m:
             rng, height, width, course_px=side, stone_px=side * rng.uniform(1.0, 1.6), tones=0.08, joints=0.3,
             regular=bool(rng.random() < 0.6),
         )  # fmt: skip
-    zoom = float(rng.uniform(0.2, 0.35) if kind == "asphalt" else rng.uniform(0.4, 0.8))
-    relief += (0.2 if kind == "gravel" else 0.07) * surface(rng, height, width, ("gravel",), zoom=zoom)
+    zoom = float(rng.uniform(0.2, 0.35) if kind == "asphalt" else rng.uniform(0.3, 0.6))
+    relief += (0.12 if kind == "gravel" else 0.04) * surface(rng, height, width, ("gravel",), zoom=zoom)
     return tinted(grey, relief)
 
 

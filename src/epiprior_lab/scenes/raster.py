@@ -1,8 +1,8 @@
-"""Compiled drawing of a world: nearest face per sample, then one texture look-up per sample.
+"""Compiled drawing of a world: nearest face per sample, then one filtered texture look-up per pixel and face.
 
 A face with corner O and edges A, B (camera coordinates) is seen through ``M = K [A B O]``: for a pixel p = (x, y, 1),
 ``inv(M) p = (s, t, 1) / z``. So inverse depth is the third row of inv(M) times p, exactly, and (s, t) is the place on
-the face.
+the face. All of these are linear along a row of the image.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 _OPAQUE = 128
 _MAX_PROBES = 4.0
+_SHADOW_BIAS_M = 0.07
 
 
 @numba.njit(cache=True, nogil=True)
@@ -29,26 +30,56 @@ def nearest_faces(inverse, bounds, triangle, cut_out, frame, texture, levels, te
         right = min(columns - 1, math.ceil((bounds[k, 2] + 0.5) * samples - 0.5))
         top = max(0, math.floor((bounds[k, 1] + 0.5) * samples - 0.5))
         bottom = min(rows - 1, math.ceil((bounds[k, 3] + 0.5) * samples - 0.5))
+        # Per sample instead of per pixel along the row.
+        ds, dt, dw = M[0, 0] / samples, M[1, 0] / samples, M[2, 0] / samples
         for i in range(top, bottom + 1):
-            y = (i + 0.5) / samples - 0.5
-            s0, t0, w0 = M[0, 1] * y + M[0, 2], M[1, 1] * y + M[1, 2], M[2, 1] * y + M[2, 2]
-            for j in range(left, right + 1):
-                x = (j + 0.5) / samples - 0.5
-                w = M[2, 0] * x + w0
+            y, x = (i + 0.5) / samples - 0.5, 0.5 / samples - 0.5
+            s0 = M[0, 0] * x + M[0, 1] * y + M[0, 2]
+            t0 = M[1, 0] * x + M[1, 1] * y + M[1, 2]
+            w0 = M[2, 0] * x + M[2, 1] * y + M[2, 2]
+            first, last = _span(s0, ds, float(left), float(right))
+            first, last = _span(t0, dt, first, last)
+            first, last = _span(w0, dw, first, last)
+            if triangle[k] == 1:
+                first, last = _span(w0 - s0 - t0, dw - ds - dt, first, last)
+            else:
+                first, last = _span(w0 - s0, dw - ds, first, last)
+                first, last = _span(w0 - t0, dw - dt, first, last)
+            if first > last:
+                continue
+            start, end = math.ceil(first), math.floor(last)
+            if cut_out[k] == 0:
+                for j in range(start, end + 1):
+                    w = w0 + dw * j
+                    if w > inverse_depth[i, j]:
+                        inverse_depth[i, j] = w
+                        face[i, j] = k
+                continue
+            j = 0.5 * (first + last)
+            _, _, ux, vx, uy, vy = _texture_place(M, frame[k], s0 + ds * j, t0 + dt * j, w0 + dw * j, samples)
+            level, _, _, _ = _level_of(levels[texture[k]], ux, vx, uy, vy)
+            offset, width, height = levels[texture[k], level]
+            for j in range(start, end + 1):
+                w = w0 + dw * j
                 if w <= inverse_depth[i, j]:
                     continue
-                s, t = M[0, 0] * x + s0, M[1, 0] * x + t0
-                if s < 0.0 or t < 0.0 or s > w or t > w or (triangle[k] == 1 and s + t > w):
-                    continue
-                if cut_out[k] == 1:
-                    u, v, ux, vx, uy, vy = _texture_place(M, frame[k], s, t, w, samples)
-                    level, _, _, _ = _level_of(levels[texture[k]], ux, vx, uy, vy)
-                    first, width, height = levels[texture[k], level]
-                    column, row = int(math.floor(u * width)) % width, int(math.floor(v * height)) % height
-                    if texels[first + row * width + column, 3] < _OPAQUE:
-                        continue
-                inverse_depth[i, j] = w
-                face[i, j] = k
+                f, g = (s0 + ds * j) / w, (t0 + dt * j) / w
+                u = frame[k, 0, 0] + f * frame[k, 1, 0] + g * frame[k, 2, 0]
+                v = frame[k, 0, 1] + f * frame[k, 1, 1] + g * frame[k, 2, 1]
+                column, row = int((u - math.floor(u)) * width), int((v - math.floor(v)) * height)
+                if texels[offset + min(row, height - 1) * width + min(column, width - 1), 3] >= _OPAQUE:
+                    inverse_depth[i, j] = w
+                    face[i, j] = k
+
+
+@numba.njit(cache=True, nogil=True)
+def _span(value, slope, first, last):  # type: ignore[no-untyped-def]
+    """Return the part of [first, last] where ``value + slope * j >= 0``."""
+    if slope > 0.0:
+        return max(first, -value / slope), last
+    if slope < 0.0:
+        return first, min(last, -value / slope)
+    return (first, last) if value >= 0.0 else (1.0, 0.0)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -69,13 +100,16 @@ def _texture_place(M, frame, s, t, w, samples):  # type: ignore[no-untyped-def]
 def _level_of(levels, ux, vx, uy, vy):  # type: ignore[no-untyped-def]
     """Return the halving to read from, the number of probes, and the texture step that the probes spread over."""
     width, height = levels[0, 1], levels[0, 2]
-    length_x, length_y = math.hypot(ux * width, vx * height), math.hypot(uy * width, vy * height)
+    length_x = math.sqrt((ux * width) ** 2 + (vx * height) ** 2)
+    length_y = math.sqrt((uy * width) ** 2 + (vy * height) ** 2)
     area = abs(ux * vy - uy * vx) * width * height
-    major = max(length_x, length_y)
-    du, dv = (ux, vx) if length_x >= length_y else (uy, vy)
+    if length_x >= length_y:
+        major, du, dv = length_x, ux, vx
+    else:
+        major, du, dv = length_y, uy, vy
     minor = max(area / max(major, 1e-12), 1.0)
-    probes = min(_MAX_PROBES, max(1.0, math.ceil(major / minor)))
-    blur = major / probes
+    probes = min(_MAX_PROBES, max(1.0, math.ceil(0.8 * major / minor)))
+    blur = max(major / probes, minor)
     level = 0
     while blur > 1.42 and level < len(levels) - 1:
         blur *= 0.5
@@ -84,75 +118,139 @@ def _level_of(levels, ux, vx, uy, vy):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_texel(out, weight, levels, texels, u, v):  # type: ignore[no-untyped-def]
-    """Add the bilinear texel at (u, v) of one halving; coordinates beyond [0, 1] repeat, except close to the rim."""
-    first, width, height = levels
+def _texel(offset, width, height, texels, u, v):  # type: ignore[no-untyped-def]
+    """Return the bilinear texel at (u, v) of one halving; coordinates beyond [0, 1] repeat, except close to the rim."""
     if -0.01 <= u <= 1.01:
         u = min(max(u, 0.5 / width), 1.0 - 0.5 / width)
+    else:
+        u -= math.floor(u)
     if -0.01 <= v <= 1.01:
         v = min(max(v, 0.5 / height), 1.0 - 0.5 / height)
+    else:
+        v -= math.floor(v)
     x, y = u * width - 0.5, v * height - 0.5
-    column, row = int(math.floor(x)), int(math.floor(y))
+    column, row = math.floor(x), math.floor(y)
     a, b = x - column, y - row
-    c0, c1, r0, r1 = column % width, (column + 1) % width, row % height, (row + 1) % height
-    p00, p01 = texels[first + r0 * width + c0], texels[first + r0 * width + c1]
-    p10, p11 = texels[first + r1 * width + c0], texels[first + r1 * width + c1]
-    for channel in range(4):
-        value = (p00[channel] * (1 - a) + p01[channel] * a) * (1 - b) + (p10[channel] * (1 - a) + p11[channel] * a) * b
-        out[channel] += weight * value
+    c0, r0 = int(column), int(row)
+    c1, r1 = c0 + 1, r0 + 1
+    c0, r0 = c0 if c0 >= 0 else width - 1, r0 if r0 >= 0 else height - 1
+    c1, r1 = c1 if c1 < width else 0, r1 if r1 < height else 0
+    p, q = offset + r0 * width, offset + r1 * width
+    k00, k01, k10, k11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+    t00, t01, t10, t11 = texels[p + c0], texels[p + c1], texels[q + c0], texels[q + c1]
+    return (
+        k00 * t00[0] + k01 * t01[0] + k10 * t10[0] + k11 * t11[0],
+        k00 * t00[1] + k01 * t01[1] + k10 * t10[1] + k11 * t11[1],
+        k00 * t00[2] + k01 * t01[2] + k10 * t10[2] + k11 * t11[2],
+        k00 * t00[3] + k01 * t01[3] + k10 * t10[3] + k11 * t11[3],
+    )
 
 
 @numba.njit(cache=True, nogil=True)
-def _surroundings_at(surroundings, x, y, z, out):  # type: ignore[no-untyped-def]
-    """Write the colour seen in a world direction (y points down)."""
+def _surroundings_at(surroundings, x, y, z):  # type: ignore[no-untyped-def]
+    """Return the colour seen in a world direction (y points down)."""
     rows, columns = surroundings.shape[:2]
-    elevation = math.atan2(-y, math.hypot(x, z))
+    elevation = math.atan2(-y, math.sqrt(x * x + z * z))
     r = (0.5 - elevation / math.pi) * (rows - 1)
     c = (0.5 + math.atan2(x, z) / (2 * math.pi)) * columns
     r0 = min(int(r), rows - 2)
     c0 = int(c) % columns
     c1 = (c0 + 1) % columns
     a, b = c - math.floor(c), r - r0
-    for channel in range(3):
-        upper = surroundings[r0, c0, channel] * (1 - a) + surroundings[r0, c1, channel] * a
-        lower = surroundings[r0 + 1, c0, channel] * (1 - a) + surroundings[r0 + 1, c1, channel] * a
-        out[channel] = upper * (1 - b) + lower * b
+    k00, k01, k10, k11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+    t00, t01, t10, t11 = surroundings[r0, c0], surroundings[r0, c1], surroundings[r0 + 1, c0], surroundings[r0 + 1, c1]
+    return (
+        k00 * t00[0] + k01 * t01[0] + k10 * t10[0] + k11 * t11[0],
+        k00 * t00[1] + k01 * t01[1] + k10 * t10[1] + k11 * t11[1],
+        k00 * t00[2] + k01 * t01[2] + k10 * t10[2] + k11 * t11[2],
+    )
 
 
 @numba.njit(cache=True, nogil=True)
-def paint(inverse, frame, texture, shade, mirror, normal, levels, texels, surroundings, to_world, samples, face, image):  # type: ignore[no-untyped-def]
-    """Write the colour of each sample; `to_world` maps a pixel (x, y, 1) to its ray in the world."""
-    rows, columns = face.shape
-    colour, reflection = np.zeros(4), np.zeros(3)
-    for i in range(rows):
-        y = (i + 0.5) / samples - 0.5
-        for j in range(columns):
-            x = (j + 0.5) / samples - 0.5
-            k = face[i, j]
+def _sunlit(projection, depth, x, y, z):  # type: ignore[no-untyped-def]
+    """Return how much sun reaches a world point, in [0, 1]: the bilinear mean of four tests; 1 outside the map."""
+    size = len(depth)
+    w = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2] * z + projection[2, 3]
+    column = (projection[0, 0] * x + projection[0, 1] * y + projection[0, 2] * z + projection[0, 3]) / w
+    row = (projection[1, 0] * x + projection[1, 1] * y + projection[1, 2] * z + projection[1, 3]) / w
+    if not (0.0 <= column < size - 1 and 0.0 <= row < size - 1):
+        return 1.0
+    c, r = int(column), int(row)
+    a, b = column - c, row - r
+    reach = w - _SHADOW_BIAS_M
+    lit = (1 - a) * (1 - b) if depth[r, c] > reach else 0.0
+    lit += a * (1 - b) if depth[r, c + 1] > reach else 0.0
+    lit += (1 - a) * b if depth[r + 1, c] > reach else 0.0
+    return lit + (a * b if depth[r + 1, c + 1] > reach else 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _face_colour(M, frame, levels, texels, light, mirror, normal, surroundings, shadow_projection, shadow_depth, eye, x, y, rx, ry, rz):  # type: ignore[no-untyped-def]
+    """Return the colour of a face around a pixel (x, y), whose ray in the world is (rx, ry, rz).
+
+    `light` is the brightness in the shade, and what the sun adds.
+    """
+    s = M[0, 0] * x + M[0, 1] * y + M[0, 2]
+    t = M[1, 0] * x + M[1, 1] * y + M[1, 2]
+    w = max(M[2, 0] * x + M[2, 1] * y + M[2, 2], 1e-9)
+    u, v, ux, vx, uy, vy = _texture_place(M, frame, s, t, w, 1)
+    level, probes, du, dv = _level_of(levels, ux, vx, uy, vy)
+    offset, width, height = levels[level]
+    r, g, b, opacity = 0.0, 0.0, 0.0, 0.0
+    for probe in range(probes):
+        part = (probe + 0.5) / probes - 0.5
+        dr, dg, db, da = _texel(offset, width, height, texels, u + part * du, v + part * dv)
+        r, g, b, opacity = r + dr, g + dg, b + db, opacity + da
+    shade = light[0]
+    if light[1] > 0.0:
+        z = 1.0 / w
+        shade += light[1] * _sunlit(shadow_projection, shadow_depth, eye[0] + z * rx, eye[1] + z * ry, eye[2] + z * rz)
+    factor = shade / probes
+    r, g, b = r * factor, g * factor, b * factor
+    share = mirror * min(max((255.0 - opacity / probes) / (255.0 - _OPAQUE), 0.0), 1.0)
+    if share > 0.0:
+        d = 2.0 * (rx * normal[0] + ry * normal[1] + rz * normal[2])
+        mr, mg, mb = _surroundings_at(surroundings, rx - d * normal[0], ry - d * normal[1], rz - d * normal[2])
+        r, g, b = r + share * (mr - r), g + share * (mg - g), b + share * (mb - b)
+    return r, g, b
+
+
+@numba.njit(cache=True, nogil=True)
+def paint(inverse, frame, texture, light, mirror, normal, levels, texels, surroundings, shadow_projection, shadow_depth, to_world, eye, samples, face, image):  # type: ignore[no-untyped-def]
+    """Write the colour of each pixel: the mean over its samples, each face looked up once.
+
+    `to_world` maps a pixel (x, y, 1) to its ray in the world, which starts at `eye`; `face` holds `samples` x `samples` numbers per pixel.
+    """
+    rows, columns = image.shape[:2]
+    found, count = np.empty(samples * samples, dtype=np.int64), np.empty(samples * samples, dtype=np.int64)
+    for y in range(rows):
+        for x in range(columns):
+            different = 0
+            for i in range(y * samples, (y + 1) * samples):
+                for j in range(x * samples, (x + 1) * samples):
+                    k = face[i, j]
+                    position = 0
+                    while position < different and found[position] != k:
+                        position += 1
+                    if position == different:
+                        found[position], count[position] = k, 0
+                        different += 1
+                    count[position] += 1
             rx = to_world[0, 0] * x + to_world[0, 1] * y + to_world[0, 2]
             ry = to_world[1, 0] * x + to_world[1, 1] * y + to_world[1, 2]
             rz = to_world[2, 0] * x + to_world[2, 1] * y + to_world[2, 2]
-            if k < 0:
-                _surroundings_at(surroundings, rx, ry, rz, reflection)
-                for channel in range(3):
-                    image[i, j, channel] = np.uint8(reflection[channel] + 0.5)
-                continue
-            M = inverse[k]
-            s = M[0, 0] * x + M[0, 1] * y + M[0, 2]
-            t = M[1, 0] * x + M[1, 1] * y + M[1, 2]
-            w = M[2, 0] * x + M[2, 1] * y + M[2, 2]
-            u, v, ux, vx, uy, vy = _texture_place(M, frame[k], s, t, w, samples)
-            level, probes, du, dv = _level_of(levels[texture[k]], ux, vx, uy, vy)
-            colour[:] = 0.0
-            for probe in range(probes):
-                offset = (probe + 0.5) / probes - 0.5
-                _add_texel(colour, 1.0 / probes, levels[texture[k], level], texels, u + offset * du, v + offset * dv)
-            share = mirror[k] * min(max((255.0 - colour[3]) / (255.0 - _OPAQUE), 0.0), 1.0)
-            if share > 0.0:
-                d = 2.0 * (rx * normal[k, 0] + ry * normal[k, 1] + rz * normal[k, 2])
-                _surroundings_at(
-                    surroundings, rx - d * normal[k, 0], ry - d * normal[k, 1], rz - d * normal[k, 2], reflection
-                )
-            for channel in range(3):
-                value = colour[channel] * shade[k] * (1.0 - share) + reflection[channel] * share
-                image[i, j, channel] = np.uint8(min(max(value, 0.0), 255.0) + 0.4999)
+            r, g, b = 0.0, 0.0, 0.0
+            for position in range(different):
+                k = found[position]
+                if k < 0:
+                    dr, dg, db = _surroundings_at(surroundings, rx, ry, rz)
+                else:
+                    dr, dg, db = _face_colour(
+                        inverse[k], frame[k], levels[texture[k]], texels, light[k], mirror[k], normal[k], surroundings,
+                        shadow_projection, shadow_depth, eye, x, y, rx, ry, rz,
+                    )  # fmt: skip
+                part = count[position] / (samples * samples)
+                r, g, b = r + part * dr, g + part * dg, b + part * db
+            image[y, x, 0] = np.uint8(min(max(r + 0.5, 0.0), 255.0))
+            image[y, x, 1] = np.uint8(min(max(g + 0.5, 0.0), 255.0))
+            image[y, x, 2] = np.uint8(min(max(b + 0.5, 0.0), 255.0))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from epiprior.types import BoolArray, Float32Array, FloatArray
+from epiprior.types import Float32Array, FloatArray, IntArray
 from epiprior_lab.datasets import Camera
 from epiprior_lab.scenes import raster
+from epiprior_lab.scenes.light import Light, Shadows
 from epiprior_lab.scenes.world import BOTH_VIEWS, Image, World
 
 _NEAR = 0.05
@@ -18,7 +19,7 @@ _NEAR = 0.05
 class _Seen(NamedTuple):
     """The faces of a world that a camera may see."""
 
-    index: BoolArray
+    index: IntArray
     inverse: FloatArray
     bounds: FloatArray
 
@@ -30,7 +31,9 @@ def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Flo
         return (1.0 / inverse_depth).astype(np.float32)
 
 
-def render_image(world: World, camera: Camera, *, view: int = BOTH_VIEWS, samples: int = 2) -> Image:
+def render_image(
+    world: World, camera: Camera, light: Light, shadows: Shadows, *, view: int = BOTH_VIEWS, samples: int = 2
+) -> Image:
     """Return a camera's image, before anything that a lens or sensor does to it.
 
     Parameters
@@ -39,10 +42,12 @@ def render_image(world: World, camera: Camera, *, view: int = BOTH_VIEWS, sample
         What is seen.
     camera : Camera
         From where.
+    light, shadows : Light, Shadows
+        The sun, and what it sees of this world.
     view : int, default BOTH_VIEWS
         Faces of the other view only are left out.
     samples : int, default 2
-        Samples per pixel along each axis; they are averaged.
+        Samples per pixel along each axis, for the rims of faces; textures are filtered in any case.
 
     Returns
     -------
@@ -51,33 +56,36 @@ def render_image(world: World, camera: Camera, *, view: int = BOTH_VIEWS, sample
     """
     seen = _seen(world, camera, view)
     _, face = _nearest(world, camera, seen, samples)
-    image = np.empty((*face.shape, 3), dtype=np.uint8)
+    image = np.empty((camera.height, camera.width, 3), dtype=np.uint8)
     normal = np.cross(world.down[seen.index], world.across[seen.index])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    by_sun = (1.0 - light.ambient) * np.maximum(normal @ light.to_sun, 0.0)
+    in_shade = np.full(len(normal), light.ambient)
     raster.paint(
         seen.inverse,
         world.texture_frame[seen.index],
         world.texture[seen.index],
-        world.shade[seen.index],
+        np.ascontiguousarray(world.brightness[seen.index, None] * np.column_stack([in_shade, by_sun])),
         world.mirror[seen.index],
         normal,
         world.levels,
         world.texels,
         world.surroundings,
+        shadows.projection,
+        shadows.depth,
         camera.R.T @ np.linalg.inv(camera.K),
+        camera.centre,
         samples,
         face,
         image,
     )
-    if samples == 1:
-        return image
-    return np.asarray(cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return image
 
 
-def _nearest(world: World, camera: Camera, seen: _Seen, samples: int) -> tuple[FloatArray, np.ndarray]:
+def _nearest(world: World, camera: Camera, seen: _Seen, samples: int) -> tuple[Float32Array, NDArray[np.int32]]:
     """Return inverse depth and the number of the nearest face, among those seen, at each sample."""
     shape = camera.height * samples, camera.width * samples
-    inverse_depth, face = np.zeros(shape), np.full(shape, -1, dtype=np.int32)
+    inverse_depth, face = np.zeros(shape, dtype=np.float32), np.full(shape, -1, dtype=np.int32)
     raster.nearest_faces(
         seen.inverse,
         seen.bounds,
@@ -106,7 +114,9 @@ def _seen(world: World, camera: Camera, view: int) -> _Seen:
         regular = np.abs(np.linalg.det(M)) > 1e-9 * np.prod(np.linalg.norm(M, axis=1), axis=1)
     inside = (bounds[:, 2] >= 0) & (bounds[:, 0] <= camera.width - 1)
     inside &= (bounds[:, 3] >= 0) & (bounds[:, 1] <= camera.height - 1)
-    index = regular & inside & ((world.views & view) > 0)
+    index = np.flatnonzero(regular & inside & ((world.views & view) > 0))
+    # Near faces first: most samples of what is behind them are then refused at once.
+    index = index[np.argsort(polygons[index, :, 2].min(axis=1), kind="stable")]
     return _Seen(index, np.ascontiguousarray(np.linalg.inv(M[index])), np.ascontiguousarray(bounds[index]))
 
 

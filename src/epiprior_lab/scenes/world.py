@@ -1,4 +1,4 @@
-"""A world of textured flat faces: parallelograms and triangles, with light painted on once for all views.
+"""A world of textured flat faces: parallelograms and triangles.
 
 Units are metres; x points right, y down, z away from a viewer who stands before a facade; the ground is near y = 0.
 """
@@ -36,8 +36,8 @@ class World:
         Texture of each face.
     triangle, cut_out, views : ndarray, shape (N,), int64
         1 where the face is a triangle; 1 where transparent texels are holes; bit set of the views that show it.
-    shade, mirror : ndarray, shape (N,), float64
-        Factor of the texture's brightness; how much of the surroundings a glass texel reflects.
+    brightness, mirror : ndarray, shape (N,), float64
+        Factor on top of the light; how much of the surroundings a glass texel reflects.
     levels : ndarray, shape (T, MAX_LEVELS, 3), int64
         First texel, width and height of each texture's image at each halving of its size.
     texels : ndarray, shape (M, 4), uint8
@@ -54,7 +54,7 @@ class World:
     triangle: IntArray
     cut_out: IntArray
     views: IntArray
-    shade: FloatArray
+    brightness: FloatArray
     mirror: FloatArray
     levels: IntArray
     texels: Image
@@ -66,18 +66,11 @@ class WorldBuilder:
 
     Parameters
     ----------
-    sun : ndarray, shape (3,)
-        Direction in which light travels; need not be normalised.
-    ambient : float
-        Brightness of a face turned away from the sun, in [0, 1].
     surroundings : ndarray, shape (H, W, 3), uint8
         See `World`.
     """
 
-    def __init__(self, *, sun: Vector, ambient: float, surroundings: Image) -> None:
-        direction = np.asarray(sun, dtype=np.float64)
-        self._to_sun = -direction / np.linalg.norm(direction)
-        self._ambient = ambient
+    def __init__(self, *, surroundings: Image) -> None:
         self._surroundings = surroundings
         self._faces: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
         self._flags: list[tuple[int, int, int, int, float, float]] = []
@@ -124,24 +117,18 @@ class WorldBuilder:
             Factor on top of the light.
         """
         a, b = np.asarray(across, dtype=np.float64), np.asarray(down, dtype=np.float64)
-        normal = np.cross(b, a)
-        length = float(np.linalg.norm(normal))
-        if length < 1e-9:
-            return
-        light = max(0.0, float(normal @ self._to_sun) / length)
-        shade = brightness * (self._ambient + (1.0 - self._ambient) * light)
         left, top, right, bottom = area
         frame = np.array([[left, top], [right - left, 0.0], [0.0, bottom - top]])
         frame = frame if texture_frame is None else texture_frame
         cut_out = int(self._textures[texture].shape[2] == 4)
         self._faces.append((np.asarray(corner, dtype=np.float64), a, b, frame))
-        self._flags.append((texture, int(triangle), cut_out, views, shade, mirror))
+        self._flags.append((texture, int(triangle), cut_out, views, brightness, mirror))
 
     def build(self) -> World:
         """Return the world; textures are packed with their halved copies, so that far faces do not alias."""
         corner, across, down, frames = (np.array(column) for column in zip(*self._faces, strict=True))
         texture, triangle, cut_out, views = np.array([flags[:4] for flags in self._flags], dtype=np.int64).T
-        shade, mirror = np.array([flags[4:] for flags in self._flags], dtype=np.float64).T
+        brightness, mirror = np.array([flags[4:] for flags in self._flags], dtype=np.float64).T
         levels = np.zeros((len(self._textures), MAX_LEVELS, 3), dtype=np.int64)
         texels: list[Image] = []
         used = 0
@@ -161,7 +148,7 @@ class WorldBuilder:
             triangle=np.ascontiguousarray(triangle),
             cut_out=np.ascontiguousarray(cut_out),
             views=np.ascontiguousarray(views),
-            shade=np.ascontiguousarray(shade),
+            brightness=np.ascontiguousarray(brightness),
             mirror=np.ascontiguousarray(mirror),
             levels=levels,
             texels=np.concatenate(texels),

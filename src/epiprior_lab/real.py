@@ -1,0 +1,293 @@
+"""The three inputs on photographs: X_L as in the paper, `snn`, and ours, to the same estimator.
+
+Nothing in training or in the choice of settings has seen these photographs. Sets are kept in the uniform
+layout of `epiprior_lab.datasets`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+from epiprior.errors import SettingsError
+from epiprior.handover import HandOver, find_hand_overs, hand_over, load_hand_overs
+from epiprior.models import find_model
+from epiprior.types import FloatArray, MatchSet
+from epiprior_lab.datasets import Camera, DatasetError, Pair, read_pair_set
+from epiprior_lab.evaluation import PairMatches, estimate_row, match_pair, write_rows
+from epiprior_lab.ground_truth import label_matches, reference_fundamental
+from epiprior_lab.parallel import Task, default_workers, map_tasks
+from epiprior_lab.seeds import child_seed
+from epiprior_lab.statistics import precision_at, successes
+
+Row = dict[str, Any]
+
+INPUTS = ("standard", "snn", "default")
+TITLES = {"standard": "X_L", "snn": "snn", "default": "ours"}
+ESTIMATOR = "magsac++"
+TOP = 100
+THRESHOLDS_PX = (10.0, 3.0)
+_GRID = 10
+
+
+def run_real(
+    datasets: Path,
+    *,
+    sets: Sequence[str] | None = None,
+    seeds: int = 3,
+    out: Path = Path("reports/real.csv"),
+    workers: int | None = None,
+    store: Path | None = Path("data/.tasks/real"),
+    console: Console | None = None,
+) -> pd.DataFrame:
+    """Evaluate the three inputs on sets of photographs, print a table per set, write a row per pair.
+
+    Parameters
+    ----------
+    datasets : Path
+        Folder of pair sets.
+    sets : sequence of str, optional
+        Names of the sets; all sub-folders that hold a ``pairs.csv`` by default.
+    seeds : int
+        Repetitions of each estimate, >= 1.
+    out : Path
+        CSV file: a row per pair, input and seed.
+    workers : int, optional
+        Processes; `parallel.default_workers` by default.
+    store : Path, optional
+        Where results per pair are kept, so that a run that was killed continues; None keeps none.
+    console : Console, optional
+        Where tables are printed.
+
+    Returns
+    -------
+    DataFrame
+        What was written.
+
+    Raises
+    ------
+    SettingsError
+        If `seeds` is below 1 or there is no such set.
+    DatasetError
+        If a set is damaged; nothing is skipped.
+    """
+    if seeds < 1:
+        raise SettingsError(f"seeds is {seeds}, expected at least 1")
+    console = console or Console()
+    hand_overs = load_hand_overs()[ESTIMATOR]
+    chosen = {name: hand_overs[name] for name in INPUTS}
+    rows: list[Row] = []
+    for root in find_sets(datasets, sets):
+        pairs = read_pair_set(root).pairs
+        tasks = [
+            Task(
+                name=pair.pair_id,
+                payload={
+                    "pair": pair,
+                    "set_name": root.name,
+                    "seeds": tuple(range(seeds)),
+                    "hand_overs": chosen,
+                },
+                files=(*pair.files, *_settings_files()),
+            )
+            for pair in pairs
+        ]
+        results = map_tasks(
+            evaluate_photographs,
+            tasks,
+            workers=workers or default_workers(),
+            description=root.name,
+            store=None if store is None else store / root.name,
+        )
+        of_set = [row for result in results for row in result]
+        console.print(summary(pd.DataFrame(of_set), title=root.name))
+        rows += of_set
+    table = pd.DataFrame(rows)
+    if table["set"].nunique() > 1:
+        console.print(summary(table, title="all sets"))
+    write_rows(rows, out)
+    return table
+
+
+def find_sets(datasets: Path, names: Sequence[str] | None = None) -> list[Path]:
+    """Return the folders of pair sets, in the order of `names`, or all by name.
+
+    Raises
+    ------
+    SettingsError
+        If a named set is not there, or there is none at all; the message names it.
+    """
+    known = {path.parent.name: path.parent for path in sorted(datasets.glob("*/pairs.csv"))}
+    if not known:
+        raise SettingsError(f"{datasets}: no folder with a pairs.csv in it")
+    missing = [name for name in names or () if name not in known]
+    if missing:
+        raise SettingsError(f"{datasets}: no set {missing[0]!r}; there are {', '.join(known)}")
+    return [known[name] for name in names or known]
+
+
+def _settings_files() -> tuple[Path, ...]:
+    """Return what decides the results beside the photographs: files of the default model, the hand-over."""
+    files = sorted(path for path in find_model("default").iterdir() if path.is_file())
+    found = find_hand_overs()
+    return (*files, *(() if found is None else (found,)))
+
+
+def evaluate_photographs(
+    *, pair: Pair, set_name: str, seeds: Sequence[int], hand_overs: Mapping[str, HandOver]
+) -> list[Row]:
+    """Evaluate one pair.
+
+    Parameters
+    ----------
+    pair : Pair
+        Two photographs.
+    set_name : str
+        Leads every row.
+    seeds : sequence of int
+        One estimate each.
+    hand_overs : mapping of str to HandOver
+        Per input.
+
+    Returns
+    -------
+    list of dict
+        One row per input and seed: ``set, pair_id, scene, input, seed, matches`` (handed over),
+        ``precision_100`` (share of right matches among the first 100 of the list, one-to-one; a shorter list
+        counts as filled up with wrong ones) and the columns of `evaluation.estimate_row`. Matches are
+        labelled by the true epipolar lines.
+    """
+    matches = match_pair(pair, INPUTS)
+    points = evaluation_points(pair)
+    rows = []
+    for name in INPUTS:
+        best = best_set(matches, name, hand_overs[name])
+        right = label_matches(pair, best.x1, best.x2, best.scale1, best.scale2)
+        for seed in seeds:
+            row = estimate_row(
+                matches,
+                points,
+                estimator=ESTIMATOR,
+                input_name=name,
+                seed=child_seed(seed, pair.pair_id),
+                hand_over=hand_overs[name],
+            )
+            rows.append(
+                {
+                    "set": set_name,
+                    "pair_id": pair.pair_id,
+                    "scene": pair.scene,
+                    "input": name,
+                    "seed": seed,
+                    "matches": len(hand_over(best, hand_overs[name])),
+                    "precision_100": precision_at(right, TOP),
+                    **row,
+                }
+            )
+    return rows
+
+
+def best_set(matches: PairMatches, name: str, how: HandOver) -> MatchSet:
+    """Return the one-to-one ranking of the roll hypothesis whose top 100 are the most probable."""
+    sets = [matches.one_to_one() for matches in matches.sets[name]]
+    cut = [
+        s if how.max_distance_ratio is None else s.take(s.distance_ratio <= how.max_distance_ratio)
+        for s in sets
+    ]
+    return max(cut, key=lambda s: float(np.nansum(s.probability[:TOP])))
+
+
+def evaluation_points(pair: Pair) -> tuple[FloatArray, FloatArray]:
+    """Return the control points of a pair, or where it has none, points that its cameras allow.
+
+    Notes
+    -----
+    Without control points nobody knows what the two images share. A regular grid of points of image 1 is
+    then paired with points on their true epipolar lines, spread over the part of each line that image 2
+    shows.
+
+    Raises
+    ------
+    DatasetError
+        If the pair has neither control points nor cameras, or no epipolar line meets image 2.
+    """
+    if pair.control_points_path is not None:
+        return pair.control_points()
+    if pair.camera1 is None or pair.camera2 is None:
+        raise DatasetError(f"pair {pair.pair_id!r}: neither control points nor cameras")
+    F = reference_fundamental(pair)
+    x1 = _grid(pair.camera1)
+    lines = np.column_stack([x1, np.ones(len(x1))]) @ F.T
+    found = [_on_line(line, pair.camera2, k) for k, line in enumerate(lines)]
+    keep = np.array([x is not None for x in found])
+    if not keep.any():
+        raise DatasetError(f"pair {pair.pair_id!r}: no epipolar line of image 1 meets image 2")
+    return x1[keep], np.array([x for x in found if x is not None])
+
+
+def _grid(camera: Camera) -> FloatArray:
+    steps = (np.arange(_GRID) + 0.5) / _GRID
+    x, y = np.meshgrid(steps * camera.width, steps * camera.height)
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def _on_line(line: FloatArray, camera: Camera, number: int) -> FloatArray | None:
+    """Return a point of the line ``a x + b y + c = 0`` inside the image, or None if they do not meet."""
+    normal = line[:2]
+    if not np.linalg.norm(normal) > 0:
+        return None
+    foot = -line[2] * normal / (normal @ normal)
+    along = np.array([-normal[1], normal[0]]) / np.linalg.norm(normal)
+    low, high = -np.inf, np.inf
+    for start, step, size in zip(foot, along, (camera.width - 1.0, camera.height - 1.0), strict=True):
+        if step == 0:
+            if not 0 <= start <= size:
+                return None
+            continue
+        ends = sorted((-start / step, (size - start) / step))
+        low, high = max(low, ends[0]), min(high, ends[1])
+    if not low < high:
+        return None
+    share = (number * 0.6180339887498949) % 1.0  # the golden ratio spreads the points over the lines
+    return np.asarray(foot + (low + share * (high - low)) * along)
+
+
+def summarise(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return one row per input: mean precision of the top 100, and successes per threshold."""
+    out = []
+    for name in INPUTS:
+        part = rows[rows["input"] == name]
+        errors = part["error_px"].where(part["status"] == "ok")
+        line: Row = {"input": name, "pairs": part["pair_id"].nunique()}
+        line["precision_100"] = float(part.groupby(["set", "pair_id"])["precision_100"].first().mean())
+        for threshold in THRESHOLDS_PX:
+            line[f"successes_{threshold:g}"] = float(
+                successes(errors, threshold).sum() / part["seed"].nunique()
+            )
+        out.append(line)
+    return pd.DataFrame(out)
+
+
+def summary(rows: pd.DataFrame, *, title: str) -> Table:
+    """Return a table for the terminal; the best number of each column is bold."""
+    numbers = summarise(rows)
+    pairs = rows.groupby("set")["pair_id"].nunique().sum()
+    table = Table(title=f"{title}, {pairs} pairs", title_justify="left")
+    table.add_column("input")
+    table.add_column("top 100 right", justify="right")
+    columns = ["precision_100", *(f"successes_{t:g}" for t in THRESHOLDS_PX)]
+    for threshold in THRESHOLDS_PX:
+        table.add_column(f"below {threshold:g} px", justify="right")
+    for _, line in numbers.iterrows():
+        cells = []
+        for column in columns:
+            text = f"{line[column]:.2f}" if column == "precision_100" else f"{line[column]:.1f}"
+            cells.append(f"[bold]{text}[/bold]" if line[column] == numbers[column].max() else text)
+        table.add_row(TITLES[str(line["input"])], *cells)
+    return table

@@ -1,0 +1,122 @@
+"""One rendered pair of a family, from a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from epiprior.errors import EpipriorError, SettingsError
+from epiprior.types import Float32Array
+from epiprior_lab.datasets import Camera
+from epiprior_lab.ground_truth import ViewDifference
+from epiprior_lab.scenes.camera_pairs import draw_camera_pair
+from epiprior_lab.scenes.light import draw_light
+from epiprior_lab.scenes.open_scenes import draw_open_scene
+from epiprior_lab.scenes.photography import draw_photograph, take
+from epiprior_lab.scenes.render import render_depth, render_image
+from epiprior_lab.scenes.settings import FAMILIES, FamilySettings
+from epiprior_lab.scenes.shadows import cast_shadows
+from epiprior_lab.scenes.streets import draw_street
+from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Image
+
+_WORLDS = 12
+
+
+class SceneError(EpipriorError, RuntimeError):
+    """No two cameras could be placed within a family's bounds; the message names family and seed."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RenderedPair:
+    """Two images of one scene with exact ground truth.
+
+    Parameters
+    ----------
+    image1, image2 : ndarray, shape (H, W, 3), uint8
+        RGB.
+    depth1, depth2 : ndarray, shape (H, W), float32
+        Depth along the optical axis at pixel centres, metres; inf where nothing is seen.
+    camera1, camera2 : Camera
+        Cameras.
+    difference : ViewDifference
+        How the views differ.
+    """
+
+    image1: Image
+    image2: Image
+    depth1: Float32Array
+    depth2: Float32Array
+    camera1: Camera
+    camera2: Camera
+    difference: ViewDifference
+
+
+def family_settings(family: str) -> FamilySettings:
+    """Return the settings of a family.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such family.
+    """
+    if family not in FAMILIES:
+        raise SettingsError(f"family = {family!r}, expected one of {', '.join(FAMILIES)}")
+    return FAMILIES[family]
+
+
+def render_pair(
+    family: str, seed: int, *, width: int = 1024, height: int = 768, settings: FamilySettings | None = None
+) -> RenderedPair:
+    """Render a pair.
+
+    Parameters
+    ----------
+    family : str
+        Name in `FAMILIES`.
+    seed : int
+        Decides everything; equal seeds give equal bytes.
+    width, height : int
+        Image size, pixels, at least 64.
+    settings : FamilySettings, optional
+        In place of the family's.
+
+    Returns
+    -------
+    RenderedPair
+        Images, depths and cameras.
+
+    Raises
+    ------
+    SettingsError
+        If the family is unknown or the image too small.
+    SceneError
+        If a dozen scenes in a row offer no two views within the family's bounds.
+    """
+    settings = family_settings(family) if settings is None else settings
+    if min(width, height) < 64:
+        raise SettingsError(f"image size {width} x {height}, expected at least 64 x 64")
+    for attempt in np.random.SeedSequence(seed).spawn(_WORLDS):
+        rng = np.random.default_rng(attempt)
+        draw = draw_street if rng.random() < settings.facades else draw_open_scene
+        world, subject = draw(rng, settings)
+        cameras = draw_camera_pair(rng, world, subject, settings, width=width, height=height)
+        if cameras is None:
+            continue
+        images, depths = [], []
+        light = draw_light(rng)
+        lights = light, draw_light(rng) if rng.random() < settings.relit else light
+        for camera, view, sun in zip((cameras.camera1, cameras.camera2), (FIRST_VIEW, SECOND_VIEW), lights, strict=True):
+            shadows = cast_shadows(world, sun, subject.frame.foot, view=view)
+            images.append(take(render_image(world, camera, sun, shadows, view=view), draw_photograph(rng), rng))
+            depths.append(render_depth(world, camera, view=view))
+        return RenderedPair(
+            image1=images[0],
+            image2=images[1],
+            depth1=depths[0],
+            depth2=depths[1],
+            camera1=cameras.camera1,
+            camera2=cameras.camera2,
+            difference=cameras.difference,
+        )
+    raise SceneError(f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes")

@@ -1,0 +1,80 @@
+"""What lens, sensor and file do to an image: exposure, tone, colour cast, vignetting, blur, noise, JPEG."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from epiprior.errors import SettingsError
+from epiprior_lab.scenes.world import Image
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photograph:
+    """How one picture was taken.
+
+    Parameters
+    ----------
+    gain : tuple of float
+        Exposure of red, green and blue.
+    gamma : float
+        Exponent of the tone curve.
+    vignetting : float
+        Loss of brightness in the corners, in [0, 1).
+    blur_px : float
+        Sigma of the blur, pixels.
+    noise : float
+        Deviation of the noise at mid-grey, levels of 256.
+    """
+
+    gain: tuple[float, float, float]
+    gamma: float
+    vignetting: float
+    blur_px: float
+    noise: float
+
+
+def draw_photograph(rng: np.random.Generator) -> Photograph:
+    """Draw how a picture was taken."""
+    exposure, warmth = rng.uniform(0.82, 1.22), rng.uniform(-0.06, 0.06)
+    return Photograph(
+        gain=(float(exposure * (1 + warmth)), float(exposure), float(exposure * (1 - warmth))),
+        gamma=float(rng.uniform(0.85, 1.2)),
+        vignetting=float(rng.uniform(0.0, 0.2)),
+        blur_px=float(rng.uniform(0.3, 0.9)),
+        noise=float(rng.uniform(0.6, 2.5)),
+    )
+
+
+def take(image: Image, photograph: Photograph, rng: np.random.Generator) -> Image:
+    """Return an image, shape (H, W, 3), as the camera would have delivered it."""
+    height, width = image.shape[:2]
+    if photograph.blur_px > 0.2:
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), photograph.blur_px), dtype=np.uint8)
+    tones = (np.arange(256) / 255.0) ** photograph.gamma * 255.0
+    light = tones[:, None] * np.array(photograph.gain)
+    # A soft shoulder instead of clipping: skies keep their tone.
+    light = np.where(light > 220, 220 + 35 * (1 - np.exp(-(light - 220) / 35)), light)
+    exposed = cv2.LUT(image, light.astype(np.float32)[:, None, :].reshape(256, 1, 3))
+    y, x = np.linspace(-1, 1, height, dtype=np.float32)[:, None], np.linspace(-1, 1, width, dtype=np.float32)[None]
+    exposed *= (1 - photograph.vignetting * (x * x + y * y) / 2)[..., None]
+    # Shared by the channels mostly, as after the demosaicing and denoising of a real camera.
+    grains = cv2.resize(rng.standard_normal((height, width), dtype=np.float32), (width, height))
+    exposed += (photograph.noise * grains)[..., None]
+    return np.asarray(np.clip(exposed + 0.5, 0, 255).astype(np.uint8))
+
+
+def encode_jpeg(image: Image, quality: int) -> bytes:
+    """Return an RGB image as the bytes of a JPEG file.
+
+    Raises
+    ------
+    SettingsError
+        If the quality is not in 1 to 100.
+    """
+    if not 1 <= quality <= 100:
+        raise SettingsError(f"jpeg_quality = {quality}, expected 1 to 100")
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return data.tobytes()

@@ -1,0 +1,84 @@
+"""What the four families of scenes are: the paper's data sets in the small (ZuBuD2; ZuBuD1 and Urban; Open; BLOGS)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+
+from epiprior.errors import SettingsError
+
+Bounds = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FamilySettings:
+    """How scenes of a family look and how they are photographed. All bounds are (low, high).
+
+    Parameters
+    ----------
+    facades : float
+        Share of the scenes that are streets; the others are open places. In [0, 1].
+    distinct : tuple of float
+        How far one place of a wall differs from the others, in [0, 1].
+    variety : tuple of float
+        How far one window differs from the next, in [0, 1].
+    angle_deg : tuple of float
+        Median angle between the rays of both cameras, degrees.
+    overlap : tuple of float
+        Part of what either image sees that the other sees too, in [0, 1].
+    scale_ratio : tuple of float
+        Ratio of the distances of both cameras, >= 1.
+    roll_deg : tuple of float
+        Rotation of the second camera about its axis, either way, degrees.
+    passing : tuple of float
+        Things that stand in one image only, for each image.
+    relit : float
+        Share of the pairs whose second image is taken under another sun, in [0, 1].
+    """
+
+    facades: float
+    distinct: Bounds
+    variety: Bounds
+    angle_deg: Bounds
+    overlap: Bounds
+    scale_ratio: Bounds
+    roll_deg: Bounds
+    passing: Bounds
+    relit: float
+
+    def __post_init__(self) -> None:
+        for name in ("facades", "relit"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise SettingsError(f"{name} = {getattr(self, name)}, expected a number in [0, 1]")
+        limits = {"distinct": (0, 1), "variety": (0, 1), "angle_deg": (0, 90), "overlap": (0, 1), "scale_ratio": (1, 8),
+                  "roll_deg": (0, 180), "passing": (0, 20)}  # fmt: skip
+        for field in fields(self):
+            if field.name in limits:
+                low, high = getattr(self, field.name)
+                least, most = limits[field.name]
+                if not least <= low <= high <= most:
+                    raise SettingsError(f"{field.name} = ({low}, {high}), expected {least} <= low <= high <= {most}")
+
+
+FAMILIES: Mapping[str, FamilySettings] = MappingProxyType(
+    {
+        "facades-easy": FamilySettings(
+            facades=1.0, distinct=(0.5, 1.0), variety=(0.5, 1.0), angle_deg=(6, 22), overlap=(0.5, 1.0),
+            scale_ratio=(1.0, 1.25), roll_deg=(0, 3), passing=(0, 1), relit=0.0,
+        ),
+        "facades-hard": FamilySettings(
+            facades=1.0, distinct=(0.0, 0.3), variety=(0.2, 0.6), angle_deg=(42, 65), overlap=(0.2, 0.7),
+            scale_ratio=(1.0, 1.9), roll_deg=(0, 5), passing=(1, 4), relit=0.5,
+        ),
+        "open": FamilySettings(
+            facades=0.0, distinct=(0.2, 0.7), variety=(0.3, 1.0), angle_deg=(30, 60), overlap=(0.15, 0.45),
+            scale_ratio=(1.0, 2.5), roll_deg=(0, 6), passing=(0, 3), relit=0.25,
+        ),
+        "rolled": FamilySettings(
+            facades=0.5, distinct=(0.2, 0.7), variety=(0.3, 1.0), angle_deg=(15, 45), overlap=(0.25, 0.8),
+            scale_ratio=(1.0, 2.2), roll_deg=(20, 180), passing=(1, 5), relit=0.0,
+        ),
+    }
+)  # fmt: skip
+"""Settings by family name."""

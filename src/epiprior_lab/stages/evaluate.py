@@ -1,0 +1,39 @@
+"""Stage `evaluate`: estimators without and with the preprocessing step on the test pairs of one family."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+from epiprior.handover import load_hand_overs
+from epiprior_lab.evaluation import evaluate_pairs, model_files, study_pairs
+from epiprior_lab.ground_truth import LabelSettings
+from epiprior_lab.parallel import default_workers
+from epiprior_lab.params import load_params
+
+
+def main() -> None:
+    """Write ``data/evaluation/<family>/*.csv``."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--family", required=True)
+    family = parser.parse_args().family
+    params = load_params()
+    truth = asdict(params.ground_truth)
+    evaluation = evaluate_pairs(
+        study_pairs("test", family),
+        family=family,
+        estimators=params.evaluate.estimators,
+        inputs=params.evaluate.inputs,
+        seeds=params.evaluate.seeds,
+        hand_overs=load_hand_overs(Path("models/hand_over.json")),
+        labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
+        files=model_files(Path("models"), params.evaluate.inputs),
+        workers=default_workers(),
+        store=Path("data/.tasks/evaluate") / family,
+    )
+    evaluation.write(Path("data/evaluation") / family)
+
+
+if __name__ == "__main__":
+    main()

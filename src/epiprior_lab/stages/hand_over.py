@@ -1,0 +1,34 @@
+"""Stage `hand_over`: how matches are handed to each estimator, chosen on validation scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from epiprior.handover import save_hand_overs
+from epiprior_lab.evaluation import model_files, study_pairs, write_rows
+from epiprior_lab.hand_over_search import chosen_hand_overs, search_hand_overs
+from epiprior_lab.parallel import default_workers
+from epiprior_lab.params import load_params
+
+
+def main() -> None:
+    """Write ``models/hand_over.json`` and ``data/hand_over/search.csv``."""
+    params = load_params()
+    pairs = [pair for family in params.scenes.families for pair in study_pairs("validation", family)]
+    best, trials = search_hand_overs(
+        pairs,
+        estimators=params.evaluate.estimators,
+        inputs=params.evaluate.inputs,
+        params=params.hand_over,
+        files=model_files(Path("models"), params.evaluate.inputs),
+        workers=default_workers(),
+        store=Path("data/.tasks/hand_over"),
+    )
+    Path("models").mkdir(exist_ok=True)
+    save_hand_overs(Path("models/hand_over.json"), chosen_hand_overs(best))
+    rows = [trial.row(trial is best[trial.estimator, trial.input]) for trial in trials]
+    write_rows(rows, Path("data/hand_over/search.csv"))
+
+
+if __name__ == "__main__":
+    main()

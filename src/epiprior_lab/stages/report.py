@@ -1,0 +1,34 @@
+"""Stage `report`: tables, figures and the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from epiprior_lab.evaluation import study_pairs
+from epiprior_lab.parallel import single_threaded
+from epiprior_lab.params import load_params
+from epiprior_lab.reports.contact_sheet import contact_sheet
+from epiprior_lab.reports.report import write_report
+from epiprior_lab.reports.study import Study
+
+OUT = Path("reports")
+
+
+def main() -> None:
+    """Write everything in ``reports/`` but the timings."""
+    params = load_params()
+    families = params.scenes.families
+    study = Study.read(
+        Path("data"), Path("data/hand_over/search.csv"), families=families, presets=params.features.presets
+    )
+    with single_threaded():
+        sheet = OUT / "figures" / "contact_sheet.png"
+        shown = {
+            family: study_pairs("test", family)[: params.report.contact_sheet_pairs] for family in families
+        }
+        contact_sheet(shown, sheet)
+        write_report(study, sheet, OUT, params.report)
+
+
+if __name__ == "__main__":
+    main()

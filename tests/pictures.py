@@ -1,0 +1,36 @@
+"""Small pictures made from scratch, for tests that need photographs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+def texture(width: int = 480, height: int = 360, seed: int = 0) -> NDArray[np.uint8]:
+    """Noise on several scales, uint8 (H, W): hundreds of distinct SIFT features."""
+    rng = np.random.default_rng(seed)
+    total = np.zeros((height, width), np.float32)
+    for cell in (4, 8, 16, 32):
+        noise = rng.normal(size=(height // cell + 2, width // cell + 2)).astype(np.float32)
+        total += cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.clip(128 + 40 * total, 0, 255).astype(np.uint8)
+
+
+def relief_pair(
+    width: int = 480, height: int = 360, seed: int = 0
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Two views of a wavy textured surface from cameras side by side: rows correspond."""
+    left = texture(width, height, seed)
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    disparity = 25 + 12 * np.sin(x / 45) * np.cos(y / 40) + 8 * np.sin(y / 23)
+    right = cv2.remap(left, x + disparity, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    return left, np.asarray(right, dtype=np.uint8)
+
+
+def save(path: Path, picture: NDArray[np.uint8]) -> Path:
+    """Write a grey or RGB picture and return its path."""
+    assert cv2.imwrite(str(path), picture if picture.ndim == 2 else picture[:, :, ::-1])
+    return path

@@ -1,0 +1,68 @@
+"""The null model: counts, rates, and that noise does not pass while real support does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from epiprior.chance import beyond_chance, chance_rate, distinct_count
+from epiprior.geometry import sampson_distance
+from synthetic import make_pair
+
+
+def test_distinct_count_takes_shared_points_once():
+    x1 = np.array([[0.0, 0], [0, 0], [1, 0], [2, 0]])
+    x2 = np.array([[5.0, 0], [6, 0], [7, 0], [7, 0]])
+    assert distinct_count(x1, x2) == 3
+    assert distinct_count(x1[:0], x2[:0]) == 0
+
+
+def test_distinct_count_keeps_points_that_differ_in_one_coordinate():
+    x = np.array([[0.0, 1], [1, 0], [0, 0], [1, 1]])
+    assert distinct_count(x, x) == 4
+
+
+@pytest.mark.parametrize("threshold_px", [1.0, 3.0])
+def test_rate_is_that_of_fresh_random_matches(threshold_px):
+    pair = make_pair(inliers=200, outliers=200)
+    rng = np.random.default_rng(7)
+    y1, y2 = rng.uniform(0, [1024, 768], (2, 200_000, 2))
+    expected = np.mean(sampson_distance(pair.F, y1, y2) < threshold_px)
+    rate = chance_rate(pair.F, pair.matches.x1, pair.matches.x2, threshold_px)
+    assert rate == pytest.approx(expected, rel=0.35)
+
+
+def test_rate_sees_that_points_are_crowded():
+    pair = make_pair(inliers=400, outliers=0)
+    near = np.linalg.norm(pair.matches.x1 - pair.matches.x1[0], axis=1) < 60
+    x1, x2 = pair.matches.x1, pair.matches.x2
+    assert chance_rate(pair.F, x1[near], x2[near], 1.5) > 3 * chance_rate(pair.F, x1, x2, 1.5)
+
+
+def test_rate_of_next_to_nothing_is_cautious():
+    F = make_pair().F
+    assert chance_rate(F, np.zeros((0, 2)), np.zeros((0, 2)), 1.5) == 1.0
+    assert chance_rate(F, np.zeros((1, 2)), np.zeros((1, 2)), 1.5) == 1.0
+
+
+def test_beyond_chance_is_the_binomial_law():
+    """With 93 free matches of 100 and a rate of 0.5 %, 6 free supporters are the first that count."""
+    assert 1e5 * binom.sf(5, 93, 0.005) < 1 < 1e5 * binom.sf(4, 93, 0.005)
+    assert beyond_chance(13, 100, 0.005, fitted=7)
+    assert not beyond_chance(12, 100, 0.005, fitted=7)
+
+
+def test_beyond_chance_counts_no_more_hypotheses_than_there_are():
+    """Eight of eight: only eight samples exist, so one free supporter says something."""
+    assert beyond_chance(8, 8, 0.01, fitted=7)
+    assert not beyond_chance(8, 100, 0.01, fitted=7)
+
+
+@pytest.mark.parametrize(("supporters", "matches"), [(0, 0), (7, 7), (7, 100), (2, 5)])
+def test_what_the_sample_explains_anyway_is_chance(supporters, matches):
+    assert not beyond_chance(supporters, matches, 1e-6, fitted=7)
+
+
+def test_a_certain_rate_is_always_chance():
+    assert not beyond_chance(100, 100, 1.0, fitted=7)

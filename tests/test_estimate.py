@@ -1,0 +1,260 @@
+"""From ranked matches to an estimate: hypotheses, hand-over, collection, refinement, working pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from epiprior import preprocess
+from epiprior.errors import EstimatorError, FeatureError, SettingsError
+from epiprior.estimate import estimate_from_matches, estimate_fundamental
+from epiprior.estimators import EstimatorSettings, run
+from epiprior.geometry import sampson_distance
+from epiprior.handover import HandOver
+from epiprior.types import MatchSet, RankedMatches, Status
+from pictures import relief_pair, texture
+from synthetic import SyntheticPair, make_matches, make_pair
+
+PAPER = HandOver(one_to_one=True, top_k=300)
+FULL = HandOver(one_to_one=True, top_k=300, collect=True, refine=True)
+
+
+def hard_pair(seed: int = 0) -> SyntheticPair:
+    return make_pair(inliers=150, outliers=1500, order=3.0, seed=seed)
+
+
+def wrong_set(n: int = 300, seed: int = 9) -> MatchSet:
+    """A set with no right match, and probabilities that say so."""
+    noise = make_pair(inliers=0, outliers=n, seed=seed).matches
+    return replace(noise, probability=np.full(n, 0.01), roll_deg=90.0)
+
+
+def test_one_set_as_handed_over_is_what_the_estimator_says():
+    pair = make_pair()
+    estimate = estimate_from_matches([pair.matches], estimator="usac", seed=3, hand_over=HandOver())
+    plain = run("usac", pair.matches, seed=3)
+    assert plain.F is not None
+    assert np.array_equal(estimate.F, plain.F)
+    assert np.array_equal(estimate.inliers, plain.inliers)
+    assert estimate.support == plain.support
+    assert set(estimate.seconds) == {"estimator", "support"}
+
+
+@pytest.mark.parametrize("how", [PAPER, FULL], ids=["paper", "default"])
+@pytest.mark.parametrize("first", [True, False])
+def test_the_better_supported_roll_hypothesis_wins(how, first):
+    pair = hard_pair()
+    sets = [replace(pair.matches, roll_deg=30.0), wrong_set()]
+    estimate = estimate_from_matches(sets if first else sets[::-1], estimator="usac", hand_over=how)
+    assert estimate.status is Status.OK
+    assert estimate.roll_deg == 30.0
+    assert pair.error_px(estimate.F) < 2.0
+
+
+def test_probable_support_outweighs_numerous_support():
+    """Set one: 60 probable matches of the true F. Set two: 150 improbable ones of another."""
+    true, other = make_pair(inliers=60, outliers=0, seed=1), make_pair(inliers=150, outliers=0, seed=2)
+    good = replace(true.matches, probability=np.full(60, 0.9), roll_deg=10.0)
+    bad = replace(other.matches, x2=other.matches.x2[:, ::-1], probability=np.full(150, 0.05))
+    by_count, by_probability = (
+        estimate_from_matches([good, bad], estimator="usac", hand_over=how) for how in (PAPER, FULL)
+    )
+    assert by_count.roll_deg == 0.0
+    assert by_probability.roll_deg == 10.0
+
+
+def test_support_is_collected_from_all_of_the_ranking():
+    pair = make_pair(inliers=600, outliers=300, order=3.0)
+    how = replace(FULL, top_k=100)
+    narrow = estimate_from_matches([pair.matches], estimator="usac", hand_over=replace(PAPER, top_k=100))
+    wide = estimate_from_matches([pair.matches], estimator="usac", hand_over=how)
+    assert len(narrow.x1) == 100
+    assert wide.support > 500
+    assert np.array_equal(wide.inliers, sampson_distance(wide.F, wide.x1, wide.x2) < 1.5)
+
+
+def test_collected_support_counts_a_feature_once():
+    pair = make_pair(inliers=100, outliers=50)
+    crowd = pair.matches.take(np.repeat(np.arange(150), 3))
+    estimate = estimate_from_matches([crowd], estimator="usac", hand_over=FULL)
+    assert len(estimate.x1) <= 150
+    assert len(np.unique(estimate.x1, axis=0)) == len(estimate.x1)
+
+
+def test_matches_likelier_wrong_than_right_are_not_collected():
+    pair = make_pair(inliers=200, outliers=2000, order=4.0)
+    estimate = estimate_from_matches([pair.matches], estimator="usac", hand_over=FULL)
+    truth = sampson_distance(pair.F, estimate.x1, estimate.x2) < 3.0
+    assert estimate.support > 150
+    assert len(estimate.x1) < 2000
+    assert truth[estimate.inliers].mean() > 0.95
+
+
+def test_refinement_on_probable_matches_helps():
+    errors = []
+    for seed in range(8):
+        pair = make_pair(inliers=300, outliers=600, noise_px=0.8, order=3.0, seed=seed)
+        plain, refined = (
+            estimate_from_matches([pair.matches], estimator="usac", hand_over=how)
+            for how in (replace(FULL, refine=False, top_k=60), replace(FULL, top_k=60))
+        )
+        errors.append((pair.error_px(plain.F), pair.error_px(refined.F)))
+    before, after = np.median(errors, axis=0)
+    assert after < 0.7 * before
+
+
+def test_standard_matches_without_probabilities_can_be_refined_too():
+    pair = make_pair(noise_px=0.8)
+    bare = replace(pair.matches, probability=np.full(len(pair.matches), np.nan))
+    estimate = estimate_from_matches([bare], estimator="usac", hand_over=HandOver(refine=True, collect=True))
+    assert estimate.status is Status.OK
+    assert pair.error_px(estimate.F) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("matches", "status"),
+    [
+        (make_pair(inliers=7, outliers=0).matches, Status.TOO_FEW_MATCHES),
+        (wrong_set(), Status.NO_MODEL),
+        (make_pair(scene="plane", seed=2).matches, Status.DEGENERATE),
+        (make_pair(scene="rotation", seed=2).matches, Status.DEGENERATE),
+    ],
+)
+@pytest.mark.parametrize("how", [PAPER, FULL], ids=["paper", "default"])
+def test_failure_is_a_status(matches, status, how):
+    estimate = estimate_from_matches([matches], estimator="usac", hand_over=how)
+    assert estimate.status is status
+    assert estimate.F is None
+    assert estimate.support == 0
+    assert estimate.message
+    assert not estimate
+
+
+def test_two_empty_sets_are_too_few():
+    empty = make_pair().matches.take(slice(0))
+    estimate = estimate_from_matches([empty, empty], estimator="prosac", hand_over=FULL)
+    assert estimate.status is Status.TOO_FEW_MATCHES
+    assert estimate.iterations is None
+
+
+def test_iterations_add_up_over_hypotheses():
+    pair = make_pair()
+    counts = [
+        estimate_from_matches([pair.matches] * n, estimator="prosac", hand_over=PAPER).iterations
+        for n in (1, 2)
+    ]
+    assert counts[1] == 2 * counts[0]
+
+
+def test_a_plane_with_something_before_it_is_ok_and_without_is_not():
+    pair = make_pair(scene="plane+", inliers=400, outliers=100, off_plane=60, seed=2)
+    flat = make_pair(scene="plane", inliers=300, outliers=60, seed=2).matches
+    assert estimate_from_matches([pair.matches], estimator="usac", hand_over=PAPER).status is Status.OK
+    assert estimate_from_matches([flat], estimator="usac", hand_over=PAPER).status is Status.DEGENERATE
+
+
+def test_same_seed_same_bytes():
+    pair = hard_pair()
+    a, b = (
+        estimate_from_matches([pair.matches, wrong_set()], estimator="magsac++", seed=7, hand_over=FULL)
+        for _ in range(2)
+    )
+    assert a.F is not None
+    assert a.F.tobytes() == b.F.tobytes()
+    assert a.inliers.tobytes() == b.inliers.tobytes()
+
+
+def test_large_images_are_measured_at_working_size():
+    """The same matches at four and two times the size, with thresholds of working pixels: the same answer."""
+    pair = make_pair(noise_px=0.7)
+    m = pair.matches
+    large = replace(m, x1=m.x1 * 4, x2=m.x2 * 2)
+    small = estimate_from_matches([m], estimator="usac", hand_over=FULL)
+    scaled = estimate_from_matches([large], estimator="usac", hand_over=FULL, pixel_factors=(4.0, 2.0))
+    assert np.array_equal(scaled.inliers, small.inliers)
+    assert np.array_equal(scaled.x1, small.x1 * 4)
+    D1, D2 = np.diag([4.0, 4.0, 1.0]), np.diag([2.0, 2.0, 1.0])
+    back = D2 @ scaled.F @ D1
+    assert np.abs(back / np.linalg.norm(back)) == pytest.approx(np.abs(small.F), abs=1e-12)
+    unscaled = estimate_from_matches([large], estimator="usac", hand_over=FULL)
+    assert unscaled.support < small.support
+
+
+def test_settings_override_the_threshold_of_the_hand_over():
+    pair = make_pair(noise_px=1.0)
+    settings = EstimatorSettings(threshold_px=0.5)
+    estimate = estimate_from_matches([pair.matches], estimator="usac", hand_over=PAPER, settings=settings)
+    assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.5)
+
+
+def test_bad_input_is_refused():
+    m = make_pair().matches
+    with pytest.raises(SettingsError, match="no set"):
+        estimate_from_matches([], estimator="usac", hand_over=PAPER)
+    with pytest.raises(EstimatorError, match="'usak'"):
+        estimate_from_matches([m], estimator="usak", hand_over=PAPER)
+    bad = make_matches(np.where(np.arange(300)[:, None] == 3, np.nan, m.x1), m.x2)
+    with pytest.raises(FeatureError, match="row 3"):
+        estimate_from_matches([bad], estimator="usac", hand_over=HandOver())
+
+
+def ranked_of(matches: MatchSet, standard: MatchSet) -> RankedMatches:
+    return RankedMatches(sets=(matches,), standard=standard, seconds={"votes": 0.5}, preset="default")
+
+
+def test_two_pictures_without_preprocessing():
+    left, right = relief_pair()
+    estimate = estimate_fundamental(left, right, preprocess=False)
+    assert estimate.status is Status.OK
+    # Cameras side by side: epipolar lines are rows.
+    rows = np.array([[0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+    assert sampson_distance(rows, estimate.x1, estimate.x2)[estimate.inliers].max() < 3.0
+    grid = np.stack(np.meshgrid([60.0, 240, 420], [50.0, 180, 310]), axis=-1).reshape(-1, 2)
+    assert sampson_distance(estimate.F, grid, grid - [25.0, 0.0]).max() < 2.0
+    assert {"standard matches", "estimator", "support"} <= set(estimate.seconds)
+
+
+def test_ranked_matches_are_used_and_their_seconds_kept(monkeypatch):
+    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("ranked a second time"))
+    pair, picture = make_pair(), texture()
+    ranked = ranked_of(pair.matches, pair.matches.take(slice(7)))
+    estimate = estimate_fundamental(picture, picture, ranked=ranked)
+    assert pair.error_px(estimate.F) < 0.6
+    assert estimate.seconds["votes"] == 0.5
+    assert (
+        estimate_fundamental(picture, picture, ranked=ranked, preprocess=False).status
+        is Status.TOO_FEW_MATCHES
+    )
+
+
+def test_images_are_ranked_with_the_preset(monkeypatch):
+    pair, asked = make_pair(), []
+
+    def rank(image1, image2, *, preset):
+        asked.append(preset)
+        return ranked_of(pair.matches, pair.matches)
+
+    monkeypatch.setattr(preprocess, "rank_matches", rank)
+    estimate = estimate_fundamental(
+        texture(), texture(), preset="paper", estimator="prosac", threshold_px=2.5
+    )
+    assert asked == ["paper"]
+    assert estimate.estimator == "prosac"
+    assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 2.5)
+
+
+def test_unknown_estimator_fails_before_any_work(monkeypatch):
+    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
+    with pytest.raises(EstimatorError, match="'usak'"):
+        estimate_fundamental(texture(), texture(), estimator="usak")
+
+
+def test_identical_images_and_black_images():
+    picture = texture()
+    same = estimate_fundamental(picture, picture, preprocess=False)
+    assert same.status is Status.DEGENERATE
+    assert "nothing moved" in same.message
+    black = np.zeros((200, 300), np.uint8)
+    assert estimate_fundamental(black, black, preprocess=False).status is Status.TOO_FEW_MATCHES

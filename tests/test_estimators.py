@@ -1,0 +1,318 @@
+"""Every estimator on every kind of bad input, and the traps of their backends."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+import epiprior
+from epiprior.errors import EstimatorError, FeatureError, SettingsError
+from epiprior.estimators import (
+    EstimatorSettings,
+    RawModel,
+    estimators,
+    fit,
+    licences,
+    names,
+    opencv,
+    registry,
+    run,
+)
+from epiprior.geometry import sampson_distance
+from epiprior.types import FundamentalEstimate, MatchSet, Status
+from synthetic import make_matches, make_pair
+
+KNOWN = ("usac", "magsac++", "gc-ransac", "prosac", "lo-ransac", "degensac", "colmap")
+IN_ORDER = ("usac", "magsac++", "gc-ransac", "prosac")
+AVAILABLE = [name for name, state in estimators().items() if state == "available"]
+each_estimator = pytest.mark.parametrize("name", AVAILABLE)
+
+
+def assert_sound(estimate: FundamentalEstimate, matches: MatchSet, threshold_px: float = 1.5) -> None:
+    """What epiprior promises of every estimate, whatever the backend returned."""
+    assert estimate.inliers.shape == (len(matches),)
+    assert estimate.support == estimate.inliers.sum()
+    assert (estimate.F is not None) == (estimate.status is Status.OK) == bool(estimate)
+    assert (estimate.message == "") == bool(estimate)
+    assert estimate.version
+    if estimate.F is None:
+        assert not estimate.inliers.any()
+        return
+    s = np.linalg.svd(estimate.F, compute_uv=False)
+    assert s[2] < 1e-12 < s[1]
+    assert np.linalg.norm(estimate.F) == pytest.approx(1.0, abs=1e-12)
+    assert estimate.F.flat[np.abs(estimate.F).argmax()] > 0
+    assert np.array_equal(
+        estimate.inliers, sampson_distance(estimate.F, matches.x1, matches.x2) < threshold_px
+    )
+
+
+def same_bytes(a: FundamentalEstimate, b: FundamentalEstimate) -> bool:
+    assert a.F is not None
+    assert b.F is not None
+    return a.F.tobytes() == b.F.tobytes() and a.inliers.tobytes() == b.inliers.tobytes()
+
+
+def test_registry_names_states_and_licences():
+    assert names() == KNOWN
+    assert tuple(estimators()) == tuple(licences()) == KNOWN
+    assert epiprior.estimators() == estimators()
+    assert estimators()["usac"] == "available"
+    assert all(licences().values())
+
+
+@each_estimator
+def test_easy_pair(name):
+    pair = make_pair(inliers=200, outliers=100)
+    estimate = run(name, pair.matches)
+    assert_sound(estimate, pair.matches)
+    assert estimate.status is Status.OK
+    assert pair.error_px(estimate.F) < 0.6
+    assert estimate.inliers[pair.right].mean() > 0.95
+    assert estimate.inliers[~pair.right].mean() < 0.05
+
+
+@pytest.mark.parametrize("name", IN_ORDER)
+def test_five_percent_inliers_in_a_good_order(name):
+    pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
+    estimate = run(name, pair.matches)
+    assert_sound(estimate, pair.matches)
+    assert pair.error_px(estimate.F) < 2.0
+
+
+@pytest.mark.parametrize("name", IN_ORDER)
+def test_the_order_is_the_prior_that_is_used(name):
+    pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
+    shuffled = pair.matches.take(np.random.default_rng(0).permutation(len(pair.matches)))
+    assert not pair.error_px(run(name, shuffled, settings=EstimatorSettings(max_iterations=2_000)).F) < 10
+
+
+@pytest.mark.parametrize("seed", range(3))
+@each_estimator
+def test_no_inliers(name, seed):
+    noise = make_pair(inliers=0, outliers=100, seed=seed).matches
+    estimate = run(name, noise)
+    assert_sound(estimate, noise)
+    assert estimate.status is Status.NO_MODEL
+
+
+@pytest.mark.parametrize("n", [0, 1, 7])
+@each_estimator
+def test_too_few_matches(name, n):
+    matches = make_pair(inliers=20, outliers=0).matches.take(slice(n))
+    estimate = run(name, matches)
+    assert_sound(estimate, matches)
+    assert estimate.status is Status.TOO_FEW_MATCHES
+    assert f"{n} distinct matches" in estimate.message
+
+
+@each_estimator
+def test_eight_matches(name):
+    pair = make_pair(inliers=8, outliers=0, noise_px=0.01, seed=4)
+    estimate = run(name, pair.matches)
+    assert_sound(estimate, pair.matches)
+    assert estimate.status in (Status.OK, Status.NO_MODEL)
+    assert estimate.support in (0, 8)
+
+
+@each_estimator
+def test_one_match_fifty_times(name):
+    matches = make_pair(inliers=50, outliers=0).matches.take(np.zeros(50, np.int64))
+    estimate = run(name, matches)
+    assert_sound(estimate, matches)
+    assert estimate.status is Status.TOO_FEW_MATCHES
+
+
+@each_estimator
+def test_fifty_matches_of_one_point(name):
+    """Fifty distinct rows, but one point in image 1: they say nothing."""
+    pair = make_pair(inliers=50, outliers=0)
+    matches = make_matches(np.tile(pair.matches.x1[:1], (50, 1)), pair.matches.x2)
+    assert run(name, matches).status is Status.TOO_FEW_MATCHES
+
+
+@each_estimator
+def test_repeated_matches_change_nothing_but_the_mask(name):
+    pair = make_pair(inliers=60, outliers=40)
+    twice = pair.matches.take(np.repeat(np.arange(100), 2))
+    once, estimate = run(name, pair.matches), run(name, twice)
+    assert_sound(estimate, twice)
+    assert once.F is not None
+    assert np.array_equal(once.F, estimate.F)
+    assert estimate.support == 2 * once.support
+
+
+@each_estimator
+def test_collinear_points(name):
+    matches = make_pair(scene="line", inliers=100, outliers=0).matches
+    estimate = run(name, matches)
+    assert_sound(estimate, matches)
+    assert estimate.status in (Status.DEGENERATE, Status.NO_MODEL)
+
+
+@pytest.mark.parametrize("scene", ["plane", "rotation"])
+@each_estimator
+def test_plane_and_rotation(name, scene):
+    matches = make_pair(scene=scene, inliers=150, outliers=60, seed=2).matches
+    estimate = run(name, matches)
+    assert_sound(estimate, matches)
+    assert estimate.status is Status.DEGENERATE
+    assert "homography" in estimate.message
+
+
+@each_estimator
+def test_identical_images(name):
+    x = make_pair(inliers=100, outliers=0).matches.x1
+    estimate = run(name, make_matches(x, x))
+    assert estimate.status in (Status.DEGENERATE, Status.NO_MODEL)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@each_estimator
+def test_nan_is_refused(name, value):
+    matches = make_pair(inliers=50, outliers=0).matches
+    x2 = matches.x2.copy()
+    x2[17, 1] = value
+    with pytest.raises(FeatureError, match=r"x2 .* row 17"):
+        run(name, make_matches(matches.x1, x2))
+
+
+@each_estimator
+def test_same_seed_same_bytes(name):
+    matches = make_pair(inliers=60, outliers=140, order=2.0).matches
+    assert same_bytes(run(name, matches, seed=5), run(name, matches, seed=5))
+
+
+@each_estimator
+def test_another_seed_draws_otherwise(name):
+    """On noisy matches with many near-best models: seeds that did nothing would all give one F."""
+    matches = make_pair(inliers=80, outliers=80, noise_px=2.0, order=0.5, seed=1).matches
+    settings = EstimatorSettings(max_iterations=200)
+    found = {
+        F.tobytes()
+        for seed in range(8)
+        if (F := fit(name, matches, seed=seed, settings=settings).F) is not None
+    }
+    assert len(found) > 1
+
+
+@each_estimator
+def test_large_seeds_are_folded(name):
+    matches = make_pair(inliers=60, outliers=20).matches
+    assert run(name, matches, seed=2**63 + 12345).status is Status.OK
+
+
+def test_opencv_ignores_its_global_seed():
+    """Why the seed goes into UsacParams: cv2.setRNGSeed has no effect on these estimators."""
+    matches = make_pair(inliers=80, outliers=80, noise_px=2.0, order=0.5, seed=1).matches
+    results = []
+    for seed in range(4):
+        cv2.setRNGSeed(seed)
+        results.append(fit("usac", matches, seed=0).F)
+    assert all(np.array_equal(results[0], F) for F in results)
+
+
+def test_opencv_error_is_no_model(monkeypatch):
+    def throw(*_):
+        raise cv2.error("assertion failed")
+
+    monkeypatch.setattr(cv2, "findFundamentalMat", throw)
+    assert run("usac", make_pair().matches).status is Status.NO_MODEL
+
+
+def test_opencv_none_with_a_garbage_mask_is_no_model(monkeypatch):
+    monkeypatch.setattr(
+        cv2, "findFundamentalMat", lambda x1, *_: (None, np.full((len(x1), 1), 205, np.uint8))
+    )
+    matches = make_pair().matches
+    estimate = run("magsac++", matches)
+    assert_sound(estimate, matches)
+    assert estimate.status is Status.NO_MODEL
+
+
+@pytest.mark.parametrize(
+    "F",
+    [
+        np.full((3, 3), np.nan),
+        np.zeros((3, 3)),
+        np.ones((9, 3)),
+        np.diag([1.0, 0.0, 0.0]),
+        np.diag([1, 1, np.inf]),
+    ],
+    ids=["nan", "zero", "stack", "rank 1", "infinite"],
+)
+def test_a_matrix_that_is_none_is_no_model(monkeypatch, F):
+    monkeypatch.setattr(opencv.OpenCVEstimator, "fit", lambda *_, **__: RawModel(F=F, iterations=3))
+    estimate = run("usac", make_pair().matches)
+    assert estimate.status is Status.NO_MODEL
+    assert estimate.iterations == 3
+    assert "rank 2" in estimate.message
+
+
+def test_a_full_rank_matrix_is_brought_to_rank_two(monkeypatch):
+    pair = make_pair()
+    full = -5 * (pair.F + 1e-9 * np.eye(3))
+    monkeypatch.setattr(opencv.OpenCVEstimator, "fit", lambda *_, **__: RawModel(F=full))
+    estimate = run("usac", pair.matches)
+    assert_sound(estimate, pair.matches)
+    assert estimate.status is Status.OK
+
+
+def test_too_little_support_is_no_model(monkeypatch):
+    """A true F with 7 right matches among 30 wrong ones has no say."""
+    pair = make_pair(inliers=7, outliers=30)
+    monkeypatch.setattr(opencv.OpenCVEstimator, "fit", lambda *_, **__: RawModel(F=pair.F))
+    assert run("usac", pair.matches).status is Status.NO_MODEL
+
+
+@pytest.mark.parametrize("name", [name for name in ("prosac", "lo-ransac") if name in AVAILABLE])
+def test_poselib_keeps_its_cap(name):
+    noise = make_pair(inliers=0, outliers=200).matches
+    assert fit(name, noise).iterations == 5_000
+    assert fit(name, noise, settings=EstimatorSettings(max_iterations=50)).iterations <= 51
+
+
+def test_threshold_decides_the_mask():
+    pair = make_pair(noise_px=1.0)
+    narrow, wide = (run("usac", pair.matches, settings=EstimatorSettings(threshold_px=t)) for t in (0.7, 3.0))
+    assert_sound(narrow, pair.matches, 0.7)
+    assert_sound(wide, pair.matches, 3.0)
+    assert narrow.support < wide.support
+
+
+def test_unknown_estimator_is_named():
+    with pytest.raises(EstimatorError, match=r"'usak', known: usac, "):
+        run("usak", make_pair().matches)
+
+
+def test_missing_backend_says_what_to_install(monkeypatch):
+    monkeypatch.setattr("epiprior.estimators.packages.importlib.util.find_spec", lambda _: None)
+    assert registry.estimators()["degensac"].startswith("pip install")
+    with pytest.raises(EstimatorError, match=r'prosac is not installed: pip install "epiprior\[poselib\]"'):
+        run("prosac", make_pair().matches)
+
+
+def test_what_is_not_installed_is_refused():
+    for name in set(KNOWN) - set(AVAILABLE):
+        with pytest.raises(EstimatorError, match="pip install"):
+            run(name, make_pair().matches)
+
+
+def test_unequal_numbers_of_points_are_refused():
+    matches = make_pair().matches
+    with pytest.raises(FeatureError, match="x1 holds 300 points and x2 299"):
+        run("usac", make_matches(matches.x1, matches.x2[:-1]))
+
+
+def test_negative_seed_is_refused():
+    with pytest.raises(SettingsError, match="-1"):
+        run("usac", make_pair().matches, seed=-1)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"threshold_px": 0.0}, {"threshold_px": np.nan}, {"confidence": 1.0}, {"max_iterations": 0}]
+)
+def test_settings_out_of_range_are_refused(bad):
+    with pytest.raises(SettingsError, match=next(iter(bad))):
+        EstimatorSettings(**bad)

@@ -1,0 +1,46 @@
+"""The library stands alone: it loads nothing of the workspace, and none of its heavy dependencies."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "src"
+FORBIDDEN = {
+    "sklearn",
+    "mlflow",
+    "dvc",
+    "pandas",
+    "lightgbm",
+    "matplotlib",
+    "pycolmap",
+    "poselib",
+    "pydegensac",
+    "joblib",
+    "epiprior_lab",
+}
+EVERY_MODULE = """
+import importlib, pkgutil, epiprior
+for module in pkgutil.walk_packages(epiprior.__path__, "epiprior."):
+    importlib.import_module(module.name)
+"""
+
+
+@pytest.mark.parametrize("program", ["import epiprior", EVERY_MODULE], ids=["package", "every module"])
+def test_a_fresh_interpreter_loads_nothing_of_the_workspace(program):
+    program += "\nimport json, sys; print(json.dumps(sorted({name.split('.')[0] for name in sys.modules})))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    loaded = set(json.loads(done.stdout))
+    assert "epiprior" in loaded
+    assert loaded & FORBIDDEN == set()
+
+
+def test_no_module_of_the_library_mentions_the_workspace_in_an_import():
+    for path in sorted((SOURCE / "epiprior").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not any(name.split(".")[0] == "epiprior_lab" for name in names), path

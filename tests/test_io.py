@@ -1,0 +1,391 @@
+"""Tables and COLMAP databases: what is written is read back; what cannot be written says why."""
+
+import errno
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from epiprior import FeatureError, FundamentalEstimate, ImageError, OutputError, RankedMatches, Status
+from epiprior.geometry import normalise_fundamental, sampson_distance
+from epiprior.io import ColmapPair, read_matches, write_colmap_database, write_matches
+from epiprior.io.colmap import fundamental_for_colmap
+from epiprior.io.output import replacing
+from pictures import save, texture
+from synthetic import make_matches, make_pair, rotation, skew
+
+COLUMNS = [f for f in make_pair().matches.__dataclass_fields__ if f not in ("roll_deg", "rough_matrices")]
+
+
+def two_sets():
+    pair = make_pair(seed=5)
+    rng = np.random.default_rng(0)
+    n = len(pair.matches)
+    first = replace(
+        pair.matches,
+        supporting_matrices=rng.integers(0, 4950, n),
+        similarity=rng.uniform(-1, 1, n),
+        two_keypoint_probability=rng.uniform(0, 1, n),
+        orientation2_deg=rng.uniform(0, 360, n),
+    )
+    return first, replace(first.take(slice(0, 7)), roll_deg=37.25, probability=np.full(7, np.nan))
+
+
+def assert_same(read, written, rtol):
+    assert read.roll_deg == pytest.approx(written.roll_deg, rel=rtol)
+    for name in COLUMNS:
+        got, expected = getattr(read, name), getattr(written, name)
+        assert got.shape == expected.shape
+        assert got.dtype == expected.dtype
+        np.testing.assert_allclose(got, expected, rtol=rtol, err_msg=name)
+
+
+@pytest.mark.parametrize(("suffix", "rtol"), [(".csv", 1e-8), (".npz", 0), (".CSV", 1e-8)])
+def test_round_trip(tmp_path, suffix, rtol):
+    written = two_sets()
+    path = tmp_path / f"matches{suffix}"
+    write_matches(path, written)
+    read = read_matches(path)
+    assert len(read) == 2
+    for got, expected in zip(read, written, strict=True):
+        assert_same(got, expected, rtol)
+    # Written again, the same bytes.
+    before = path.read_bytes()
+    write_matches(str(path), list(read))
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_what_can_be_written(tmp_path):
+    first, second = two_sets()
+    ranked = RankedMatches(sets=(first, second), standard=second, seconds={}, preset="default")
+    write_matches(tmp_path / "ranked.csv", ranked)
+    write_matches(tmp_path / "sets.csv", (first, second))
+    write_matches(tmp_path / "one.csv", first)
+    assert (tmp_path / "ranked.csv").read_bytes() == (tmp_path / "sets.csv").read_bytes()
+    assert len(read_matches(tmp_path / "one.csv")) == 1
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_no_matches(tmp_path, suffix):
+    path = tmp_path / f"none{suffix}"
+    write_matches(path, two_sets()[0].take(slice(0, 0)))
+    assert read_matches(path) == ()
+    write_matches(path, ())
+    assert read_matches(path) == ()
+
+
+def test_csv_for_people(tmp_path):
+    matches = make_matches([[1.5, 2.0]], [[3.0, 4.25]], np.array([np.nan]))
+    write_matches(tmp_path / "m.csv", matches)
+    header, row, end = (tmp_path / "m.csv").read_text().split("\n")
+    cells = dict(zip(header.split(","), row.split(","), strict=True))
+    assert end == ""
+    assert (cells["x1"], cells["y1"], cells["x2"], cells["y2"]) == ("1.5", "2", "3", "4.25")
+    assert cells["probability"] == ""
+    assert set(COLUMNS) - {"x1", "x2"} <= set(cells)
+
+
+def test_columns_in_any_order_and_further_ones(tmp_path):
+    path = tmp_path / "m.csv"
+    write_matches(path, two_sets())
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    path.write_text(
+        "".join(",".join(["note" if i == 0 else "x", *line[::-1]]) + "\n" for i, line in enumerate(lines))
+    )
+    assert_same(read_matches(path)[0], two_sets()[0], 1e-8)
+
+
+def broken(tmp_path, change):
+    path = tmp_path / "m.csv"
+    write_matches(path, two_sets())
+    lines = path.read_text().splitlines()
+    change(lines)
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda lines: lines.__setitem__(0, lines[0].replace("distance_ratio", "ratio")),
+            "column distance_ratio",
+        ),
+        (
+            lambda lines: lines.__setitem__(3, "0,0,abc" + lines[3][lines[3].index(",", 4) :]),
+            "line 4.*x1.*abc",
+        ),
+        (lambda lines: lines.__setitem__(2, lines[2] + ",5"), "line 3"),
+        (lambda lines: lines.__setitem__(2, lines[2].rsplit(",", 1)[0] + ",1.5"), "line 3.*feature2"),
+        (lambda lines: lines.__setitem__(2, "0,90" + lines[2][3:]), "roll_deg"),
+        (
+            lambda lines: lines.__setitem__(2, "0,0,nan" + lines[2][lines[2].index(",", 4) :]),
+            "column x1.*NaN",
+        ),
+        (list.clear, "lacks the column set"),
+    ],
+)
+def test_broken_csv_names_file_and_place(tmp_path, change, words):
+    path = broken(tmp_path, change)
+    with pytest.raises(FeatureError, match=f"(?s)m\\.csv.*{words}"):
+        read_matches(path)
+
+
+def test_files_that_are_no_tables(tmp_path):
+    (tmp_path / "picture.csv").write_bytes(bytes(range(256)))
+    (tmp_path / "text.npz").write_text("text")
+    np.savez(tmp_path / "other.npz", x1=np.zeros(3))
+    np.savez(tmp_path / "objects.npz", **dict.fromkeys(_npz_columns(tmp_path), np.array([{}])))
+    (tmp_path / "m.txt").write_text("")
+    for name in (
+        "picture.csv",
+        "text.npz",
+        "other.npz",
+        "objects.npz",
+        "m.txt",
+        "missing.csv",
+        "missing.npz",
+    ):
+        with pytest.raises(FeatureError, match=name.replace(".", r"\.")):
+            read_matches(tmp_path / name)
+
+
+def _npz_columns(tmp_path):
+    write_matches(tmp_path / "good.npz", two_sets())
+    with np.load(tmp_path / "good.npz") as data:
+        return list(data)
+
+
+def test_npz_columns_of_other_lengths(tmp_path):
+    names = _npz_columns(tmp_path)
+    with np.load(tmp_path / "good.npz") as data:
+        columns = {name: data[name] for name in names}
+    np.savez(tmp_path / "bad.npz", **{**columns, "x2": columns["x2"][:-1]})
+    with pytest.raises(FeatureError, match=r"bad\.npz: column x2"):
+        read_matches(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("name", ["m.txt", "m", "missing/m.csv"])
+def test_outputs_that_cannot_be(tmp_path, name):
+    with pytest.raises(OutputError, match=name):
+        write_matches(tmp_path / name, two_sets())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_output_is_a_folder(tmp_path):
+    (tmp_path / "m.csv").mkdir()
+    with pytest.raises(OutputError, match="is a folder"):
+        write_matches(tmp_path / "m.csv", two_sets())
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_full_disk_leaves_the_old_file(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"m{suffix}"
+    path.write_text("old")
+
+    def full(*args, **kwargs):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text" if suffix == ".csv" else "open", full)
+    with pytest.raises(OutputError, match=rf"m\{suffix}: cannot be written: No space left"):
+        write_matches(path, two_sets())
+    monkeypatch.undo()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_interrupted_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def write_half():
+        with replacing(path) as partial:
+            partial.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_half()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def estimate(x1, x2, F, inliers):
+    ok = F is not None
+    return FundamentalEstimate(
+        status=Status.OK if ok else Status.NO_MODEL,
+        F=F,
+        x1=x1,
+        x2=x2,
+        inliers=inliers,
+        support=int(inliers.sum()),
+        estimator="usac",
+    )
+
+
+def test_fundamental_for_colmap_keeps_distances():
+    pair = make_pair(seed=2)
+    x1, x2 = pair.matches.x1, pair.matches.x2
+    shifted = sampson_distance(fundamental_for_colmap(pair.F), x1 + 0.5, x2 + 0.5)
+    np.testing.assert_allclose(shifted, sampson_distance(pair.F, x1, x2), rtol=1e-6, atol=1e-9)
+    assert np.abs(sampson_distance(pair.F, x1 + 0.5, x2 + 0.5) - shifted).max() > 0.01
+
+
+@pytest.fixture
+def images(tmp_path):
+    (tmp_path / "images" / "sub").mkdir(parents=True)
+    names = ("a.png", "b.png", "sub/c.png")
+    return [save(tmp_path / "images" / n, texture(1024, 768, i)) for i, n in enumerate(names)]
+
+
+def test_database_reads_back(tmp_path, images):
+    pycolmap = pytest.importorskip("pycolmap")
+    pair = make_pair(seed=4, noise_px=0.2)
+    x1, x2 = pair.matches.x1, pair.matches.x2
+    # The last match shares its keypoint of image 1 with the first inlier, which has to stay.
+    first = int(np.flatnonzero(pair.right)[0])
+    x1 = np.vstack([x1, x1[first]])
+    x2 = np.vstack([x2, [5.0, 5.0]])
+    inliers = np.append(pair.right, False)
+    write_colmap_database(
+        tmp_path / "out.db",
+        [
+            ColmapPair(image1=images[0], image2=images[2], estimate=estimate(x1, x2, pair.F, inliers)),
+            ColmapPair(image1=images[1], image2=images[0], estimate=estimate(x2, x1, None, inliers & False)),
+        ],
+    )
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["images", "out.db"]
+    with pycolmap.Database.open(tmp_path / "out.db") as db:
+        ids = {image.name: image.image_id for image in db.read_all_images()}
+        assert set(ids) == {"a.png", "b.png", "sub/c.png"}
+        a, b, c = (ids[name] for name in ("a.png", "b.png", "sub/c.png"))
+        keypoints = {i: db.read_keypoints(i) for i in (a, b, c)}
+        assert len(keypoints[a]) == len(x1) - 1
+        assert len(keypoints[c]) == len(x1)
+        geometry = db.read_two_view_geometry(a, c)
+        got = geometry.inlier_matches
+        assert len(got) == pair.right.sum()
+        found = np.hstack([keypoints[a][got[:, 0]], keypoints[c][got[:, 1]]]) - 0.5
+        np.testing.assert_allclose(found, np.hstack([x1, x2])[inliers], atol=1e-3)
+        distance = sampson_distance(geometry.F, found[:, :2] + 0.5, found[:, 2:] + 0.5)
+        np.testing.assert_allclose(distance, sampson_distance(pair.F, x1, x2)[inliers], atol=1e-3)
+        matches = db.read_matches(a, c)
+        assert len(matches) == len(x1) - 1
+        assert len(np.unique(matches[:, 0])) == len(np.unique(matches[:, 1])) == len(matches)
+        assert len(db.read_matches(b, a)) == len(x1) - 1
+        assert not db.exists_two_view_geometry(a, b) or not len(
+            db.read_two_view_geometry(a, b).inlier_matches
+        )
+        assert db.read_camera(db.read_image(a).camera_id).width == 1024
+
+
+def test_pycolmap_maps_from_the_database(tmp_path, images):
+    pycolmap = pytest.importorskip("pycolmap")
+    # The focal length that COLMAP guesses for 1024 pixels.
+    K = np.array([[1228.8, 0, 511.5], [0, 1228.8, 383.5], [0, 0, 1]])
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-3, -2, -1.5], [3, 2, 1.5], (300, 3)) + np.array([0, 0, 12])
+    poses = []
+    for degrees in (-8.0, 0.0, 8.0):
+        R = rotation((0.0, 1.0, 0.0), degrees)
+        poses.append((R, np.array([0, 0, 12.0]) - R @ [0, 0, 12.0]))
+    views = []
+    for R, t in poses:
+        Y = (points @ R.T + t) @ K.T
+        views.append(Y[:, :2] / Y[:, 2:] + rng.normal(0, 0.2, (300, 2)))
+    pairs = []
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        R = poses[j][0] @ poses[i][0].T
+        t = poses[j][1] - R @ poses[i][1]
+        F = normalise_fundamental(np.linalg.inv(K).T @ skew(t) @ R @ np.linalg.inv(K))
+        inliers = np.ones(300, bool)
+        pairs.append(
+            ColmapPair(image1=images[i], image2=images[j], estimate=estimate(views[i], views[j], F, inliers))
+        )
+    write_colmap_database(tmp_path / "out.db", pairs, image_root=tmp_path / "images")
+    (tmp_path / "sparse").mkdir()
+    options = pycolmap.IncrementalPipelineOptions(extract_colors=False, num_threads=1)
+    models = pycolmap.incremental_mapping(
+        tmp_path / "out.db", tmp_path / "images", tmp_path / "sparse", options
+    )
+    assert len(models) == 1
+    assert models[0].num_reg_images() == 3
+    assert models[0].num_points3D() > 250
+    assert models[0].compute_mean_track_length() > 2.8
+
+
+def test_databases_that_cannot_be(tmp_path, images):
+    pair = make_pair(seed=4)
+    good = ColmapPair(
+        image1=images[0],
+        image2=images[1],
+        estimate=estimate(pair.matches.x1, pair.matches.x2, pair.F, pair.right),
+    )
+    with pytest.raises(OutputError, match="paired with itself"):
+        write_colmap_database(tmp_path / "out.db", [replace(good, image2=images[0])])
+    with pytest.raises(OutputError, match="twice"):
+        write_colmap_database(tmp_path / "out.db", [good, replace(good, image1=images[1], image2=images[0])])
+    with pytest.raises(OutputError, match="no folder"):
+        write_colmap_database(tmp_path / "missing" / "out.db", [good])
+    with pytest.raises(ImageError, match=r"gone\.png"):
+        write_colmap_database(tmp_path / "out.db", [replace(good, image2=tmp_path / "gone.png")])
+    with pytest.raises(ImageError, match="outside"):
+        write_colmap_database(tmp_path / "out.db", [good], image_root=tmp_path / "images" / "sub")
+    assert not (tmp_path / "out.db").exists()
+    (tmp_path / "out.db").write_text("precious")
+    with pytest.raises(OutputError, match="exists already"):
+        write_colmap_database(tmp_path / "out.db", [good])
+    assert (tmp_path / "out.db").read_text() == "precious"
+
+
+def test_turned_images_are_refused(tmp_path, images):
+    tiff_with_orientation = (
+        b"MM\x00*\x00\x00\x00\x08\x00\x01\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00\x00\x00\x00\x00"
+    )
+    exif = (
+        b"\xff\xe1"
+        + (len(tiff_with_orientation) + 8).to_bytes(2, "big")
+        + b"Exif\0\0"
+        + tiff_with_orientation
+    )
+    data = cv2.imencode(".jpg", texture(64, 48))[1].tobytes()
+    turned = tmp_path / "turned.jpg"
+    turned.write_bytes(data[:2] + exif + data[2:])
+    assert cv2.imread(str(turned)).shape == (64, 48, 3)
+    pair = make_pair(seed=4)
+    with pytest.raises(ImageError, match=r"turned\.jpg.*EXIF"):
+        write_colmap_database(
+            tmp_path / "out.db",
+            [
+                ColmapPair(
+                    image1=images[0],
+                    image2=turned,
+                    estimate=estimate(pair.matches.x1, pair.matches.x2, pair.F, pair.right),
+                )
+            ],
+        )
+
+
+def test_without_pycolmap(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    with pytest.raises(OutputError, match="pip install 'pycolmap"):
+        write_colmap_database(tmp_path / "out.db", [])
+
+
+def test_full_disk_leaves_no_database(tmp_path, images, monkeypatch):
+    pycolmap = pytest.importorskip("pycolmap")
+
+    def full(*args):
+        raise RuntimeError("SQLite error: database or disk is full")
+
+    monkeypatch.setattr(pycolmap.Database, "write_keypoints", full)
+    pair = make_pair(seed=4)
+    found = estimate(pair.matches.x1, pair.matches.x2, pair.F, pair.right)
+    with pytest.raises(OutputError, match=r"out\.db.*disk is full"):
+        write_colmap_database(
+            tmp_path / "out.db", [ColmapPair(image1=images[0], image2=images[1], estimate=found)]
+        )
+    assert [p.name for p in tmp_path.iterdir()] == ["images"]
