@@ -18,6 +18,7 @@ READY := $(VENV)/package.stamp
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 export DVC_NO_ANALYTICS := 1
 export MLFLOW_DISABLE_TELEMETRY := true
+export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
 export DO_NOT_TRACK := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONPATH PYTHONHOME
@@ -50,7 +51,7 @@ check-lock: $(READY)  ## check that dvc.lock belongs to this code, these paramet
 	$(BIN)/epiprior-lab check-lock
 
 ui: $(READY)  ## open MLflow's page on http://127.0.0.1:$(PORT)
-	$(BIN)/mlflow ui --backend-store-uri sqlite:///mlflow.db --host 127.0.0.1 --port $(PORT)
+	$(BIN)/mlflow ui --backend-store-uri sqlite:///mlflow.db --host 127.0.0.1 --port $(PORT) --workers 1
 
 lock:  ## write requirements.lock anew from pyproject.toml (pins stay where they fit; LOCK_FLAGS=--upgrade moves them)
 	@$(check-python)

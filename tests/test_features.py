@@ -5,7 +5,7 @@ import pytest
 from epiprior import features as ft
 from epiprior.errors import FeatureError, ImageError, SettingsError
 from epiprior.roll import expected_roll, orientation_differences
-from epiprior.standard_matches import nearest_neighbours
+from epiprior.standard import nearest_neighbours
 from epiprior.types import Features
 
 

@@ -10,7 +10,7 @@ from epiprior.probabilities import (
     unite,
 )
 from epiprior.putative import PutativeMatches
-from epiprior.standard_matches import nearest_neighbours, similarity_weights
+from epiprior.standard import nearest_neighbours, similarity_weights
 from epiprior.two_keypoints import PAPER_COLUMNS, TwoKeypointMatches
 
 

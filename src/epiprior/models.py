@@ -75,6 +75,10 @@ class Classifier:
 
     def __call__(self, rows: Float32Array) -> FloatArray:
         """Return calibrated probabilities; see `RankingModel.predict_match`."""
+        return calibrate(self.uncalibrated(rows), self.a, self.b)
+
+    def uncalibrated(self, rows: Float32Array) -> FloatArray:
+        """Return the probabilities as the classifier gives them; otherwise like a call."""
         if not isinstance(rows, np.ndarray) or rows.dtype != np.float32:
             got = rows.dtype if isinstance(rows, np.ndarray) else type(rows).__name__
             raise FeatureError(f"rows to classify: expected a float32 array, got {got}")
@@ -93,12 +97,12 @@ class Classifier:
         # A row's value does not depend on its chunk, so neither on the number of threads.
         if self.threads > 1 and len(chunks) > 1:
             with ThreadPoolExecutor(self.threads) as pool:
-                parts = list(pool.map(self._raw, chunks))
+                parts = list(pool.map(self._run, chunks))
         else:
-            parts = [self._raw(chunk) for chunk in chunks]
-        return calibrate(np.concatenate(parts) if parts else np.empty(0), self.a, self.b)
+            parts = [self._run(chunk) for chunk in chunks]
+        return np.concatenate(parts) if parts else np.empty(0)
 
-    def _raw(self, rows: Float32Array) -> FloatArray:
+    def _run(self, rows: Float32Array) -> FloatArray:
         return np.asarray(self.session.run(["probability"], {"rows": rows})[0], np.float64).reshape(-1)
 
 

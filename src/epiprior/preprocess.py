@@ -42,7 +42,7 @@ from epiprior.probabilities import (
     unite,
 )
 from epiprior.putative import PutativeMatches, putative_matches
-from epiprior.standard_matches import Neighbours, mutual_mask, nearest_neighbours, similarity_weights
+from epiprior.standard import Neighbours, mutual_mask, nearest_neighbours, similarity_weights
 from epiprior.two_keypoints import (
     TwoKeypointMatches,
     best_two_keypoint_matches,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.putative import PutativeMatches
-from epiprior.standard_matches import Neighbours, mutual_mask, similarity_weights
+from epiprior.standard import Neighbours, mutual_mask, similarity_weights
 from epiprior.two_keypoints import TwoKeypointMatches
 from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
 

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 
 from epiprior.clusters import Clusters
-from epiprior.standard_matches import nearest_neighbours
+from epiprior.standard import nearest_neighbours
 from epiprior.types import Float32Array, IntArray
 
 logger = logging.getLogger(__name__)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.types import BoolArray, Float32Array, FloatArray
-from epiprior_lab.calibration import Platt, cross_calibrate, fit_platt
+from epiprior_lab.calibration import Platt, fit_platt
 from epiprior_lab.export import to_onnx
-from epiprior_lab.metrics import ranking_metrics, row_metrics
 from epiprior_lab.parallel import Task, map_tasks
 from epiprior_lab.training import CrossValidation, cross_validate, fit_final
 
 PARITY_ROWS = 2000
 # The slowest first: the last task to end decides how long all take.
 _SLOWEST_FIRST = ("random-forest", "svm", "lightgbm", "tree")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """Rows of one pair under one roll hypothesis, drawn at random from `size` rows.
+
+    Parameters
+    ----------
+    scene, pair : str
+        Names; `pair` says the hypothesis as well.
+    rows : ndarray, shape (M, C), float32
+        Descriptors.
+    labels : ndarray, shape (M,), bool
+        Which are right.
+    size : int
+        Rows that there are.
+    """
+
+    scene: str
+    pair: str
+    rows: Float32Array
+    labels: BoolArray
+    size: int
+
+    @classmethod
+    def draw(
+        cls, *, scene: str, pair: str, rows: Float32Array, labels: BoolArray, most: int, seed: int
+    ) -> Sample:
+        """Keep `most` rows at most, in their order."""
+        size = len(rows)
+        kept = np.arange(size)
+        if size > most:
+            kept = np.sort(np.random.default_rng(seed).choice(size, most, replace=False))
+        return cls(scene=scene, pair=pair, rows=rows[kept], labels=labels[kept], size=size)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +72,8 @@ class TargetRows:
         Which are right.
     scene, pair : ndarray, shape (N,), str
         Scene of each row, and the pair and roll hypothesis in which it is ranked.
+    share : mapping of str to float
+        For each pair, the share of its rows that are here: a random sample.
     """
 
     target: str
@@ -47,24 +82,20 @@ class TargetRows:
     labels: BoolArray
     scene: NDArray[np.str_]
     pair: NDArray[np.str_]
+    share: Mapping[str, float]
 
     @classmethod
-    def stack(
-        cls,
-        target: str,
-        columns: tuple[str, ...],
-        parts: Iterable[tuple[Float32Array, BoolArray, str, str]],
-    ) -> TargetRows:
-        """Put together (rows, labels, scene, pair) of one pair after the other."""
-        rows, labels, scene, pair = zip(*parts, strict=True)
-        lengths = [len(part) for part in rows]
+    def stack(cls, target: str, columns: tuple[str, ...], samples: Sequence[Sample]) -> TargetRows:
+        """Put samples of different pairs together."""
+        lengths = [len(sample.rows) for sample in samples]
         return cls(
             target=target,
             columns=columns,
-            rows=np.concatenate(rows),
-            labels=np.concatenate(labels),
-            scene=np.repeat(np.array(scene), lengths),
-            pair=np.repeat(np.array(pair), lengths),
+            rows=np.concatenate([sample.rows for sample in samples]),
+            labels=np.concatenate([sample.labels for sample in samples]),
+            scene=np.repeat([sample.scene for sample in samples], lengths),
+            pair=np.repeat([sample.pair for sample in samples], lengths),
+            share={sample.pair: len(sample.rows) / max(1, sample.size) for sample in samples},
         )
 
     def digest(self) -> str:
@@ -121,12 +152,10 @@ class Comparison:
         """Return Platt scaling fitted on the family's out-of-fold probabilities."""
         return fit_platt(self.grouped[family].probability, self.data.labels)
 
-    def calibrated_metrics(self, family: str) -> dict[str, float]:
-        """Return the metrics of out-of-fold probabilities, each calibrated on the other folds."""
-        item = self.grouped[family]
-        probability = cross_calibrate(item.probability, self.data.labels, item.fold)
-        ranking = ranking_metrics(probability, self.data.labels, self.data.pair)
-        return ranking | row_metrics(probability, self.data.labels)
+
+def rows_file(store: Path, target: str) -> Path:
+    """Return where `compare_families` puts the rows, for its tasks to read."""
+    return store / f"{target}-rows.npz"
 
 
 def compare_families(
@@ -162,9 +191,9 @@ def compare_families(
         The same whatever the number of workers, times aside.
     """
     store.mkdir(parents=True, exist_ok=True)
-    file = store / f"{data.target}-rows.npz"
+    file = rows_file(store, data.target)
     np.savez(file, rows=data.rows, labels=data.labels, scene=data.scene, pair=data.pair)
-    settings = {"file": file, "columns": data.columns, "folds": folds, "seed": seed}
+    settings = {"file": file, "columns": data.columns, "share": data.share, "folds": folds, "seed": seed}
     order = sorted(families, key=_SLOWEST_FIRST.index)
     tasks = [
         Task(
@@ -187,7 +216,15 @@ def compare_families(
 
 
 def work(
-    *, file: Path, columns: tuple[str, ...], family: str, kind: str, folds: int, seed: int, max_rows: int
+    *,
+    file: Path,
+    columns: tuple[str, ...],
+    share: Mapping[str, float],
+    family: str,
+    kind: str,
+    folds: int,
+    seed: int,
+    max_rows: int,
 ) -> CrossValidation | Refit:
     """Do one task of `compare_families`."""
     with np.load(file, allow_pickle=False) as stored:
@@ -212,4 +249,5 @@ def work(
         seed=seed,
         grouped=kind == "grouped",
         max_rows=max_rows,
+        share=share,
     )

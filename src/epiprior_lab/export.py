@@ -10,7 +10,7 @@ import functools
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,12 +19,14 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from epiprior.models import CARD, MANIFEST, SCHEMA_VERSION, TARGETS
-from epiprior.types import FloatArray
+from epiprior.errors import EpipriorError
+from epiprior.models import CARD, MANIFEST, SCHEMA_VERSION, TARGETS, load_model
+from epiprior.presets import find_preset
 from epiprior_lab.families import Boosted, Fitted, SupportVectors, Trees
 from epiprior_lab.model_card import model_card
 
 _OPSET, _ML_OPSET, _IR_VERSION = 17, 3, 9
+PARITY = 1e-6
 _LIBRARIES = (
     "epiprior",
     "numpy",
@@ -35,6 +37,10 @@ _LIBRARIES = (
     "onnxmltools",
     "onnxruntime",
 )
+
+
+class ExportError(EpipriorError, RuntimeError):
+    """An exported model does not say what the fitted one says."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,6 +262,48 @@ def write_model(
         (folder / file).write_bytes(content)
 
 
-def largest_difference(exported: FloatArray, fitted: FloatArray) -> float:
-    """Return the largest difference of two sets of probabilities; 0 for none."""
-    return float(np.max(np.abs(exported - fitted), initial=0.0))
+def export_model(training: Path, folder: Path, preset: str) -> None:
+    """Make the model folder of a preset from the results of its training, and check it.
+
+    Parameters
+    ----------
+    training : Path
+        Folder that `training_tables.write_training` wrote.
+    folder : Path
+        The model's folder; its name is the model's.
+    preset : str
+        Whose features the model takes.
+
+    Raises
+    ------
+    ExportError
+        If the library, loading the folder, gives other probabilities than the classifiers that were fitted.
+    """
+    summary = json.loads((training / "summary.json").read_text(encoding="utf-8"))
+    write_model(
+        folder,
+        name=folder.name,
+        preset=preset,
+        classifiers={
+            target: ExportedClassifier(
+                onnx=(training / f"{target}.onnx").read_bytes(),
+                family=summary[target]["family"],
+                columns=tuple(summary[target]["columns"]),
+                a=summary[target]["a"],
+                b=summary[target]["b"],
+                metrics=summary[target]["metrics"],
+            )
+            for target in TARGETS
+        },
+        feature_parameters=asdict(find_preset(preset)),
+        training_data=summary["training_data"],
+    )
+    model = load_model(folder)
+    with np.load(training / "parity.npz", allow_pickle=False) as stored:
+        for target, classifier in ((TARGETS[0], model.two_keypoint), (TARGETS[1], model.match)):
+            exported = classifier.uncalibrated(stored[f"{target}_rows"])
+            difference = np.max(np.abs(exported - stored[f"{target}_probability"]), initial=0.0)
+            if not difference <= PARITY:
+                raise ExportError(
+                    f"{folder / target}.onnx: differs from the fitted classifier by {difference:.2g}"
+                )

@@ -27,10 +27,10 @@ _LIGHTGBM_ROUNDS = 100
 _LIGHTGBM: dict[str, Any] = {
     "objective": "binary",
     "num_leaves": 31,
-    "learning_rate": 0.1,
-    "min_data_in_leaf": 100,
+    "learning_rate": 0.05,
+    "min_data_in_leaf": 300,
     "lambda_l2": 1.0,
-    "feature_fraction": 0.8,
+    "feature_fraction": 0.5,
     "use_missing": False,
     "deterministic": True,
     "force_row_wise": True,
@@ -165,7 +165,7 @@ def fit_tree(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
     C4.5, which prunes by a pessimistic estimate of the error, it prunes by cost and complexity.
     """
     tree = DecisionTreeClassifier(
-        criterion="entropy", min_samples_leaf=max(5, len(rows) // 5000), ccp_alpha=2e-5, random_state=seed
+        criterion="entropy", min_samples_leaf=max(5, len(rows) // 2000), ccp_alpha=2e-5, random_state=seed
     ).fit(rows, labels)
     # The tree's own values are changed, so that whatever reads them, predict_proba or an exporter, agrees.
     nodes = tree.tree_
@@ -175,9 +175,9 @@ def fit_tree(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
 
 
 def fit_forest(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
-    """Fit a random forest of 100 trees."""
+    """Fit a random forest of 50 trees."""
     forest = RandomForestClassifier(
-        n_estimators=100, min_samples_leaf=5, max_features="sqrt", n_jobs=1, random_state=seed
+        n_estimators=50, min_samples_leaf=5, max_features="sqrt", n_jobs=1, random_state=seed
     )
     return Trees(forest.fit(rows, labels))
 

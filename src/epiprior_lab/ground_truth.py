@@ -1,4 +1,4 @@
-"""What is true of a pair: which matches are right, control points, and how the two views differ.
+"""What is true of a pair: which matches are right, the fundamental matrix, and control points.
 
 Where a pair has depth maps, a match is right when each of its points reprojects onto the other and is visible there.
 Without depth, only the epipolar line of the true F can be checked ("epipolar" labels): 1 to 4 % of random matches
@@ -14,7 +14,7 @@ import numpy as np
 from epiprior.errors import SettingsError
 from epiprior.geometry import MIN_MATCHES, as_points, eight_point, sampson_distance
 from epiprior.types import BoolArray, Float32Array, FloatArray
-from epiprior_lab.datasets import Camera, DatasetError, Pair, reproject
+from epiprior_lab.datasets import Camera, DatasetError, Pair, covisible, depth_at, reproject
 
 _CORNER_OFFSETS = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=np.float64)
 _REFINEMENTS = 10
@@ -55,28 +55,6 @@ class LabelSettings:
             raise SettingsError(f"tolerance_sigma = {self.tolerance_sigma}, expected a number >= 0")
         if not 0 < self.depth_tolerance < 1:
             raise SettingsError(f"depth_tolerance = {self.depth_tolerance}, expected a number in (0, 1)")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewDifference:
-    """How two views of a scene differ, over what both see.
-
-    Parameters
-    ----------
-    angle_deg : float
-        Median angle between the two rays to a common point, degrees.
-    overlap : float
-        Part of what one image sees that the other sees too, the smaller of both directions, in [0, 1].
-    scale_ratio : float
-        Median ratio of the sizes of things, larger over smaller, >= 1.
-    roll_deg : float
-        Rotation about the optical axis from image 1 to image 2, degrees in [0, 360), clockwise on the screen.
-    """
-
-    angle_deg: float
-    overlap: float
-    scale_ratio: float
-    roll_deg: float
 
 
 def label_matches(
@@ -121,10 +99,9 @@ def label_matches(
     """
     settings = settings or LabelSettings()
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
-    depths = pair.depths()
-    if depths is None or pair.camera1 is None or pair.camera2 is None:
+    if pair.depth_paths is None or pair.camera1 is None:
         return sampson_distance(reference_fundamental(pair), x1, x2) < settings.epipolar_px
-    cameras = pair.camera1, pair.camera2
+    cameras, depths = pair.depth_views()
     forward = _confirmed(cameras, depths, (x1, x2), (scale1, scale2), settings)
     backward = _confirmed(cameras[::-1], depths[::-1], (x2, x1), (scale2, scale1), settings)
     return forward & backward
@@ -159,17 +136,6 @@ def _offsets(scale: FloatArray) -> list[FloatArray]:
     return [radius * offset for offset in _CORNER_OFFSETS]
 
 
-def depth_at(depth: Float32Array, x: FloatArray) -> FloatArray:
-    """Return the depth of the pixel nearest to each point, shape (N,); inf outside the image and where nothing is seen."""
-    height, width = depth.shape
-    # Clipped before the conversion to integers, which is undefined for huge numbers and NaN.
-    column, row = (np.rint(np.clip(np.nan_to_num(x[:, k], nan=-9.0), -9.0, 1e6)).astype(np.int64) for k in (0, 1))
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    values = np.full(len(x), np.inf)
-    values[inside] = depth[row[inside], column[inside]]
-    return values
-
-
 def reference_fundamental(pair: Pair) -> FloatArray:
     """Return the true F of a pair: from its cameras, else fitted to all its control points.
 
@@ -199,9 +165,14 @@ def _fit(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
     for _ in range(_REFINEMENTS):
         if F is None or best is None:
             return best
-        gradient_sq = ((x1 @ F[:, :2].T + F[:, 2])[:, :2] ** 2).sum(1) + ((x2 @ F[:2] + F[2])[:, :2] ** 2).sum(1)
+        gradient_sq = ((x1 @ F[:, :2].T + F[:, 2])[:, :2] ** 2).sum(1) + (
+            (x2 @ F[:2] + F[2])[:, :2] ** 2
+        ).sum(1)
         F = eight_point(x1, x2, 1.0 / np.maximum(gradient_sq, 1e-12 * gradient_sq.max()))
-        if F is not None and (sampson_distance(F, x1, x2) ** 2).sum() < (sampson_distance(best, x1, x2) ** 2).sum():
+        if (
+            F is not None
+            and (sampson_distance(F, x1, x2) ** 2).sum() < (sampson_distance(best, x1, x2) ** 2).sum()
+        ):
             best = F
     return best
 
@@ -209,38 +180,6 @@ def _fit(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
 def errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
     """Return the Sampson distance of each control point to `F`, shape (N,), pixels; the paper's error is its mean."""
     return sampson_distance(F, x1, x2)
-
-
-def covisible(
-    cameras: tuple[Camera, Camera],
-    depths: tuple[Float32Array, Float32Array],
-    *,
-    step: int = 1,
-    depth_tolerance: float = 0.02,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what the first image sees, where it falls in the second, and whether it is visible there.
-
-    Parameters
-    ----------
-    cameras, depths : tuples
-        Of both images.
-    step : int, default 1
-        Every how many pixels of image 1 to look.
-    depth_tolerance : float, default 0.02
-        Relative difference of depth below which a point counts as visible.
-
-    Returns
-    -------
-    x1, x2 : ndarray, shape (N, 2)
-        Pixels at which image 1 has a depth, and their reprojections.
-    visible : ndarray, shape (N,), bool
-        True where image 2 sees the same point.
-    """
-    rows, columns = np.nonzero(np.isfinite(depths[0][::step, ::step]))
-    x1 = step * np.column_stack([columns, rows]).astype(np.float64)
-    x2, predicted = reproject(*cameras, x1, depth_at(depths[0], x1))
-    visible = (predicted > 0) & (np.abs(depth_at(depths[1], x2) - predicted) < depth_tolerance * np.abs(predicted))
-    return x1, x2, visible
 
 
 def control_points_from_depth(
@@ -277,32 +216,3 @@ def control_points_from_depth(
     rank_in_cell[by_cell] = np.arange(len(cell)) - np.repeat(starts, np.diff(np.r_[starts, len(cell)]))
     chosen = np.sort(order[np.lexsort((np.arange(len(cell)), rank_in_cell))[:count]])
     return x1[chosen], x2[chosen]
-
-
-def view_difference(
-    cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array], *, step: int = 4
-) -> ViewDifference:
-    """Return how two views differ; angle and scale are NaN where they have nothing in common.
-
-    Parameters
-    ----------
-    cameras, depths : tuples
-        Of both images.
-    step : int, default 4
-        Every how many pixels to look.
-    """
-    x1, _, visible = covisible(cameras, depths, step=step)
-    visible_back = covisible(cameras[::-1], depths[::-1], step=step)[2]
-    parts = [float(v.mean()) if len(v) else 0.0 for v in (visible, visible_back)]
-    rotation = cameras[1].R @ cameras[0].R.T
-    roll = np.degrees(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])) % 360.0
-    angle = scale = np.nan
-    if visible.any():
-        depth1 = depth_at(depths[0], x1[visible])
-        points = cameras[0].back_project(x1[visible], depth1)
-        rays = [points - camera.centre for camera in cameras]
-        cosine = (rays[0] * rays[1]).sum(axis=1) / np.prod([np.linalg.norm(ray, axis=1) for ray in rays], axis=0)
-        angle = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
-        ratio = np.median(depth1 / cameras[1].project(points)[1]) * cameras[1].K[0, 0] / cameras[0].K[0, 0]
-        scale = float(max(ratio, 1 / ratio))
-    return ViewDifference(angle_deg=angle, overlap=min(parts), scale_ratio=scale, roll_deg=float(roll))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from epiprior.handover import HandOver
+from epiprior.handover import HandOver, hand_over
 from epiprior.types import FloatArray
 from epiprior_lab.datasets import Pair
 from epiprior_lab.evaluation import BASELINES, PairMatches, estimate_row, match_pair
@@ -40,7 +40,7 @@ class Trial:
         For whom.
     step : str
         The setting that was varied.
-    hand_over : HandOver
+    how : HandOver
         What was tried.
     errors_px : ndarray, shape (P, S), float64
         Errors of the pairs over seeds, pixels; NaN without a fundamental matrix.
@@ -49,7 +49,7 @@ class Trial:
     estimator: str
     input: str
     step: str
-    hand_over: HandOver
+    how: HandOver
     errors_px: FloatArray
 
     @property
@@ -69,7 +69,7 @@ class Trial:
             "estimator": self.estimator,
             "input": self.input,
             "step": self.step,
-            **asdict(self.hand_over),
+            **asdict(self.how),
             "pairs": pairs,
             "successes_10": loose / seeds,
             "successes_3": strict / seeds,
@@ -143,18 +143,31 @@ def candidate_errors(
         Pixels; NaN without a fundamental matrix.
     """
     errors = np.full((len(candidates), len(seeds)), np.nan)
-    for i, (estimator, name, hand_over) in enumerate(candidates):
-        for j, seed in enumerate(seeds):
-            row = estimate_row(
-                matches,
-                points,
-                estimator=estimator,
-                input_name=name,
-                seed=child_seed(seed, pair_id),
-                hand_over=hand_over,
+    known: dict[tuple[Any, ...], FloatArray] = {}
+    for i, (estimator, name, how) in enumerate(candidates):
+        same = (estimator, name, _effect(matches, name, how))
+        if same not in known:
+            rows = (
+                estimate_row(
+                    matches,
+                    points,
+                    estimator=estimator,
+                    input_name=name,
+                    seed=child_seed(seed, pair_id),
+                    hand_over=how,
+                )
+                for seed in seeds
             )
-            errors[i, j] = row["error_px"]
+            known[same] = np.array([row["error_px"] for row in rows])
+        errors[i] = known[same]
     return errors
+
+
+def _effect(matches: PairMatches, name: str, how: HandOver) -> tuple[Any, ...]:
+    """Return all that an estimate depends on: on many pairs different cuts hand over the same matches."""
+    handed = [hand_over(ranked, how) for ranked in matches.sets[name]]
+    content = tuple((part.feature1.tobytes(), part.feature2.tobytes()) for part in handed)
+    return (how.threshold_px, how.collect, how.refine, content)
 
 
 def search_hand_overs(
@@ -224,15 +237,15 @@ def search_hand_overs(
     trials: list[Trial] = []
     for step in range(max(len(c) for c in varied.values())):
         planned = [
-            (place, setting, hand_over)
+            (place, setting, how)
             for place in places
-            for setting, hand_over in _variations(varied[place[1]], step, place, best, params)
+            for setting, how in _variations(varied[place[1]], step, place, best, params)
         ]
         if not planned:
             continue
-        errors = run([(*place, hand_over) for place, _, hand_over in planned], step)
-        for (place, setting, hand_over), e in zip(planned, errors, strict=True):
-            trial = Trial(estimator=place[0], input=place[1], step=setting, hand_over=hand_over, errors_px=e)
+        errors = run([(*place, how) for place, _, how in planned], step)
+        for (place, setting, how), e in zip(planned, errors, strict=True):
+            trial = Trial(estimator=place[0], input=place[1], step=setting, how=how, errors_px=e)
             trials.append(trial)
             if place not in best or trial.score > best[place].score:
                 best[place] = trial
@@ -251,17 +264,17 @@ def _variations(
         return []
     setting, values = varied[step]
     known = best.get(place)
-    start = known.hand_over if known else starting_point(place[1], params)
+    start = known.how if known else starting_point(place[1], params)
     tried = {start} if known else set()
     if setting == "spread" and start.top_k is None:
         return []  # spread is a share of top_k
     variations = (replace(start, **{setting: value}) for value in values)
-    return [(setting, hand_over) for hand_over in dict.fromkeys(variations) if hand_over not in tried]
+    return [(setting, how) for how in dict.fromkeys(variations) if how not in tried]
 
 
 def chosen_hand_overs(best: dict[Place, Trial]) -> dict[str, dict[str, HandOver]]:
     """Return the chosen hand-overs as ``{estimator: {input: hand-over}}``, what `save_hand_overs` writes."""
     table: dict[str, dict[str, HandOver]] = {}
     for (estimator, name), trial in best.items():
-        table.setdefault(estimator, {})[name] = trial.hand_over
+        table.setdefault(estimator, {})[name] = trial.how
     return table

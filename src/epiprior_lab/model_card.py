@@ -30,8 +30,9 @@ _CARD = """\
 # epiprior model `{name}`
 
 Two classifiers that give putative matches of two photographs their probability of being right. epiprior
-loads them for the preset `{preset}`. Anything that runs ONNX can: each takes `rows`, float32 (N, C), and gives
-`probability`, float32 (N,), not calibrated yet; the calibrated one is `sigmoid(a * logit(probability) + b)`.
+loads them for the preset `{preset}`. Anything that runs ONNX can: each takes `rows`, float32 (N, C), and
+gives `probability`, float32 (N,), not calibrated yet; the calibrated one is `sigmoid(a * logit(probability) +
+b)`.
 
 | file | gives the probability that | is | columns | a | b |
 |---|---|---|---|---|---|
@@ -39,7 +40,8 @@ loads them for the preset `{preset}`. Anything that runs ONNX can: each takes `r
 
 ## Training data
 
-{data[pairs]} pairs of {data[scenes]} rendered scenes; labels from depth and visibility.
+Pairs of {data[scenes]} rendered scenes, {data[rankings]} with their roll hypotheses; labels from depth and
+visibility. Of every pair a random sample of rows:
 {data[two_keypoint_rows]} matches of 2keypoints, {data[two_keypoint_right]} of them right, and
 {data[match_rows]} matches, {data[match_right]} of them right. The sha256 of all rows and labels is
 `{data[sha256]}`.
@@ -48,8 +50,9 @@ loads them for the preset `{preset}`. Anything that runs ONNX can: each takes `r
 
 Cross-validation grouped by scene: no scene is in training and test at once. The second classifier was trained
 and tested on votes of a first one that never saw the scene. A pair counts once per roll hypothesis. `mean` is
-over all rows or pairs, `deviation` over the folds, `calibrated` after Platt scaling fitted on the other folds.
-`ungrouped` deals rows out to folds one by one, as the paper does: what it shows above `mean` is leakage.
+over all rows or pairs, `deviation` over the folds, `calibrated` after Platt scaling fitted on the other
+folds. `ungrouped` deals rows out to folds one by one, as the paper does: what it shows above `mean` is
+leakage.
 
 {tables}
 

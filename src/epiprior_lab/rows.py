@@ -1,7 +1,8 @@
-"""Training rows: what the library computes of a pair before any classifier, with labels from the ground truth.
+"""Training rows: what the library computes of a pair before any classifier, labelled by the ground truth.
 
-The rows of the first classifier (2kpmd) are stored as they are. Those of the second (kpmd) depend on the first: they
-are computed by `match_rows` from stored parts and from probabilities of a first classifier that never saw the scene.
+The rows of the first classifier (2kpmd) are stored as they are. Those of the second (kpmd) depend on the
+first: they are computed by `match_rows` from stored parts and from probabilities of a first classifier that
+never saw the scene.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from epiprior.probabilities import StandardTable, Union
 from epiprior.two_keypoints import TwoKeypointMatches
 from epiprior.types import BoolArray, Float32Array, FloatArray
 from epiprior_lab.datasets import Pair
-from epiprior_lab.ground_truth import label_matches
+from epiprior_lab.ground_truth import LabelSettings, label_matches
 
 _T = TypeVar("_T")
 
@@ -78,8 +79,8 @@ class PairRows:
         return self.labels[self.two_keypoints.main] & self.labels[self.two_keypoints.other]
 
 
-def extract_rows(pair: Pair, preset: str) -> list[PairRows]:
-    """Run the library up to the first classifier on one pair, under every roll hypothesis, and label the matches."""
+def extract_rows(pair: Pair, preset: str, labels: LabelSettings | None = None) -> list[PairRows]:
+    """Run the library up to the first classifier, for every roll hypothesis, and label the matches."""
     settings = find_preset(preset)
     prepared = preprocess.prepare_pair(pair.image1, pair.image2, settings)
     out = []
@@ -93,24 +94,27 @@ def extract_rows(pair: Pair, preset: str) -> list[PairRows]:
                 preset=preset,
                 roll_deg=roll_deg,
                 frames=candidates.frames,
-                labels=_labels(pair, prepared, candidates.frames),
+                labels=_labels(pair, prepared, candidates.frames, labels),
                 two_keypoints=candidates.two_keypoints,
                 table=prepared.table,
                 united=united,
-                united_labels=_labels(pair, prepared, united.frames),
+                united_labels=_labels(pair, prepared, united.frames, labels),
             )
         )
     return out
 
 
-def _labels(pair: Pair, prepared: preprocess.PreparedPair, frames: MatchFrames) -> BoolArray:
+def _labels(
+    pair: Pair, prepared: preprocess.PreparedPair, frames: MatchFrames, settings: LabelSettings | None
+) -> BoolArray:
     """Label matches; the frames are in working pixels, the ground truth in pixels of the images as given."""
     given, factors = [], []
     for x, to_working in zip((frames.x1, frames.x2), prepared.to_working, strict=True):
         inverse = np.linalg.inv(to_working)
         given.append(x @ inverse[:2, :2].T + inverse[:2, 2])
         factors.append(float(np.sqrt(inverse[0, 0] * inverse[1, 1])))
-    return label_matches(pair, *given, frames.scale1 * factors[0], frames.scale2 * factors[1])
+    x1, x2 = given
+    return label_matches(pair, x1, x2, frames.scale1 * factors[0], frames.scale2 * factors[1], settings)
 
 
 def match_columns(preset: str) -> tuple[str, ...]:
@@ -177,10 +181,11 @@ def rows_to_bytes(rows: PairRows) -> bytes:
 
 def load_rows(folder: Path) -> list[PairRows]:
     """Read every stored pair of a folder, in the order of the files' names."""
-    return [_read(path) for path in sorted(folder.glob("*.npz"))]
+    return [read_rows(path) for path in sorted(folder.glob("*.npz"))]
 
 
-def _read(path: Path) -> PairRows:
+def read_rows(path: Path) -> PairRows:
+    """Read the rows of one pair under one roll hypothesis."""
     with np.load(path, allow_pickle=False) as stored:
         pairs = TwoKeypointMatches(
             main=stored["two_keypoints.main"],

@@ -12,6 +12,7 @@ from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
 
 from epiprior.errors import SettingsError
 from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
+from epiprior_lab.calibration import cross_calibrate
 from epiprior_lab.families import Fitted, TrainingError, fit
 from epiprior_lab.metrics import METRICS, ranking_metrics, row_metrics
 from epiprior_lab.seeds import child_seed
@@ -31,10 +32,14 @@ class CrossValidation:
         Names of the columns.
     probability : ndarray, shape (N,), float64
         Each by the classifier that was not trained on the row's fold.
+    calibrated : ndarray, shape (N,), float64
+        The same after Platt scaling fitted on the rows of the other folds.
     fold : ndarray, shape (N,), int64
         Fold of each row.
     metrics : mapping
         Each of `METRICS` over all rows: ranking metrics are means over pairs. NaN where undefined.
+    calibrated_metrics : mapping
+        The same of `calibrated`.
     fold_metrics : tuple of mapping
         The same over the rows of each fold. Ungrouped, a fold holds a part of every pair: no ranking metrics
         there.
@@ -46,8 +51,10 @@ class CrossValidation:
     grouped: bool
     columns: tuple[str, ...]
     probability: FloatArray
+    calibrated: FloatArray
     fold: IntArray
     metrics: Mapping[str, float]
+    calibrated_metrics: Mapping[str, float]
     fold_metrics: tuple[Mapping[str, float], ...]
     seconds_per_10000_rows: tuple[float, ...]
 
@@ -181,13 +188,16 @@ def cross_validate(
         if grouped:
             measured = ranking_metrics(probability[held], y[held], pair[held], share) | measured
         fold_metrics.append(measured)
+    calibrated = cross_calibrate(probability, y, fold)
     return CrossValidation(
         family=family,
         grouped=grouped,
         columns=columns,
         probability=probability,
+        calibrated=calibrated,
         fold=fold,
         metrics=ranking_metrics(probability, y, pair, share) | row_metrics(probability, y),
+        calibrated_metrics=ranking_metrics(calibrated, y, pair, share) | row_metrics(calibrated, y),
         fold_metrics=tuple(fold_metrics),
         seconds_per_10000_rows=tuple(seconds),
     )
@@ -203,7 +213,7 @@ def fit_without(
     seed: int,
     max_rows: int | None = None,
 ) -> Fitted:
-    """Fit a family on all rows but those `held` out in fold `number`: the very classifier of `cross_validate`."""
+    """Fit a family without the rows `held` out in fold `number`: the very classifier of `cross_validate`."""
     return fit(family, X[~held], y[~held], seed=child_seed(seed, family, str(number)), max_rows=max_rows)
 
 

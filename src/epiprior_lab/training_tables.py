@@ -1,19 +1,70 @@
-"""Tables of the training: measures, curves, importances and times of all families, as CSV."""
+"""What training leaves behind: measures, curves and importances of all families, and two classifiers."""
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
+import json
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from epiprior_lab.calibration import cross_calibrate, reliability
+from epiprior_lab.calibration import reliability
 from epiprior_lab.classifiers import Comparison
 from epiprior_lab.metrics import METRICS, precision_recall
+from epiprior_lab.model_training import PresetTraining
 
 _CURVE_POINTS = 200
+
+
+def write_training(folder: Path, trained: PresetTraining) -> None:
+    """Write the results of training; the same results give the same bytes.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if absent. It gets ``metrics.csv``, ``curves.csv``, ``importances.csv``, both classifiers of the
+        exported family as ``<target>.onnx``, ``parity.npz`` with rows and the classifiers' own probabilities
+        of them, and ``summary.json`` with all that a manifest says of them.
+    trained : PresetTraining
+        Results.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, table in (("metrics", metrics_csv), ("curves", curves_csv), ("importances", importances_csv)):
+        (folder / f"{name}.csv").write_text(table(trained.comparisons), encoding="utf-8")
+    summary: dict[str, Any] = {"training_data": _training_data(trained)}
+    parity: dict[str, Any] = {}
+    for comparison in trained.comparisons:
+        target = comparison.data.target
+        refit, platt = comparison.refits[trained.family], comparison.calibration(trained.family)
+        (folder / f"{target}.onnx").write_bytes(refit.onnx)
+        parity[f"{target}_rows"] = refit.parity_rows
+        parity[f"{target}_probability"] = refit.parity_probability
+        summary[target] = {
+            "family": trained.family,
+            "columns": list(comparison.data.columns),
+            "a": platt.a,
+            "b": platt.b,
+            "metrics": card_metrics(comparison, trained.family),
+        }
+    np.savez(folder / "parity.npz", **parity)
+    text = json.dumps(summary, indent=2, sort_keys=True, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _training_data(trained: PresetTraining) -> dict[str, Any]:
+    """Return counts and the hash of all rows and labels."""
+    first, second = (comparison.data for comparison in trained.comparisons)
+    return {
+        "sha256": hashlib.sha256((first.digest() + second.digest()).encode()).hexdigest(),
+        "scenes": len(np.unique(first.scene)),
+        "rankings": len(first.share),
+        **{f"{data.target}_rows": len(data.rows) for data in (first, second)},
+        **{f"{data.target}_right": int(data.labels.sum()) for data in (first, second)},
+    }
 
 
 def metrics_csv(comparisons: Iterable[Comparison]) -> str:
@@ -28,8 +79,7 @@ def metrics_csv(comparisons: Iterable[Comparison]) -> str:
                 item = items[family]
                 tables = {str(number): metrics for number, metrics in enumerate(item.fold_metrics)}
                 tables |= {"all": item.metrics, "deviation": item.deviations()}
-                if grouped:
-                    tables["calibrated"] = comparison.calibrated_metrics(family)
+                tables["calibrated"] = item.calibrated_metrics
                 lines += [
                     (
                         comparison.data.target,
@@ -61,13 +111,12 @@ def curves_csv(comparisons: Iterable[Comparison]) -> str:
                 head = (comparison.data.target, family, str(grouped).lower())
                 item = items[family]
                 precision, recall, threshold = precision_recall(item.probability, labels)
+                ascending = np.sort(item.probability)
                 for i in np.unique(np.geomspace(1, len(precision), _CURVE_POINTS).astype(np.int64) - 1):
-                    count = int(np.count_nonzero(item.probability >= threshold[i]))
+                    count = len(labels) - int(np.searchsorted(ascending, threshold[i]))
                     point = (f"{recall[i]:.6g}", f"{precision[i]:.6g}", count)
                     lines.append((*head, "precision_recall", *point))
-                curves = {"reliability": item.probability}
-                if grouped:
-                    curves["reliability_calibrated"] = cross_calibrate(item.probability, labels, item.fold)
+                curves = {"reliability": item.probability, "reliability_calibrated": item.calibrated}
                 for name, probability in curves.items():
                     curve = reliability(probability, labels)
                     for x, y, n in zip(curve.predicted, curve.observed, curve.count, strict=True):
@@ -99,12 +148,12 @@ def seconds_csv(comparisons: Iterable[Comparison]) -> str:
 
 
 def card_metrics(comparison: Comparison, family: str) -> dict[str, dict[str, float]]:
-    """Return what manifest and model card say of a family: metric -> mean, deviation, calibrated, ungrouped."""
+    """Return metric -> mean, deviation, calibrated, ungrouped, for manifest and model card."""
     grouped = comparison.grouped[family]
     columns = {
         "mean": grouped.metrics,
         "deviation": grouped.deviations(),
-        "calibrated": comparison.calibrated_metrics(family),
+        "calibrated": grouped.calibrated_metrics,
         "ungrouped": comparison.ungrouped[family].metrics,
     }
     return {

@@ -216,30 +216,31 @@ def made_up_error(matches, points, *, estimator, input_name, seed, hand_over: Ha
 def test_search_finds_the_best_hand_over(pairs, monkeypatch):
     monkeypatch.setattr(hand_over_search, "match_pair", no_matches)
     monkeypatch.setattr(hand_over_search, "estimate_row", made_up_error)
+    monkeypatch.setattr(hand_over_search, "_effect", lambda matches, name, how: how)
     best, trials = hand_over_search.search_hand_overs(
         pairs, estimators=("usac", "prosac"), inputs=("standard", "default"), params=PARAMS
     )
-    assert best["usac", "standard"].hand_over == HandOver(
+    assert best["usac", "standard"].how == HandOver(
         one_to_one=False, max_distance_ratio=0.7, threshold_px=1.0, refine=False
     )
-    assert best["usac", "default"].hand_over == HandOver(
+    assert best["usac", "default"].how == HandOver(
         one_to_one=False, top_k=300, spread=0.1, threshold_px=1.0, collect=True, refine=False
     )
     assert best["usac", "default"].score[0] == 4  # two pairs, two seeds
     # Where nothing matters, the first candidate stays, and the search is the same again.
-    assert best["prosac", "default"].hand_over.top_k == 100
-    tried = [(t.estimator, t.input, t.hand_over) for t in trials]
+    assert best["prosac", "default"].how.top_k == 100
+    tried = [(t.estimator, t.input, t.how) for t in trials]
     assert len(tried) == len(set(tried))
     rows = [trial.row(trial is best[trial.estimator, trial.input]) for trial in trials]
     assert sum(row["chosen"] for row in rows) == 4
     chosen = hand_over_search.chosen_hand_overs(best)
-    assert chosen["usac"]["standard"] == best["usac", "standard"].hand_over
+    assert chosen["usac"]["standard"] == best["usac", "standard"].how
 
 
 def test_score_breaks_ties_by_strict_successes_then_area():
     def trial(*errors):
         return hand_over_search.Trial(
-            estimator="usac", input="snn", step="top_k", hand_over=HandOver(), errors_px=np.array([errors])
+            estimator="usac", input="snn", step="top_k", how=HandOver(), errors_px=np.array([errors])
         )
 
     assert trial(9.0, 9.0).score > trial(1.0, np.nan).score
@@ -254,3 +255,38 @@ def test_paper_input_is_handed_over_as_printed():
     start = hand_over_search.starting_point("paper", PARAMS)
     assert not start.refine
     assert not start.collect
+
+
+def test_equal_matches_are_estimated_once(pairs, monkeypatch):
+    matches = evaluation.match_pair(pairs[0], ("standard", "snn"))
+    how = HandOver(max_distance_ratio=0.9, threshold_px=1.0)
+    candidates = [
+        ("usac", "snn", how),
+        ("usac", "snn", replace(how, max_distance_ratio=None)),  # above the ratio of all its matches
+        ("usac", "snn", replace(how, top_k=10_000)),
+        ("usac", "snn", replace(how, top_k=50)),
+        ("usac", "snn", replace(how, threshold_px=2.0)),
+        ("usac", "standard", how),
+        ("magsac++", "snn", how),
+    ]
+    calls = []
+
+    def counted(matches, points, **settings):
+        calls.append(settings)
+        return evaluation.estimate_row(matches, points, **settings)
+
+    points = pairs[0].control_points()
+    monkeypatch.setattr(hand_over_search, "estimate_row", counted)
+    got = hand_over_search.candidate_errors("relief-0", points, matches, candidates, (0, 1))
+    assert len(calls) == 5 * 2
+    for (estimator, name, how), errors in zip(candidates, got, strict=True):
+        for seed, error in enumerate(errors):
+            row = evaluation.estimate_row(
+                matches,
+                points,
+                estimator=estimator,
+                input_name=name,
+                seed=child_seed(seed, "relief-0"),
+                hand_over=how,
+            )
+            assert row["error_px"] == error

@@ -52,7 +52,9 @@ class Camera:
         for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
             value = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if value.shape != shape or not np.isfinite(value).all():
-                raise CameraError(f"{name} has shape {value.shape} or a value that is not finite, expected {shape}")
+                raise CameraError(
+                    f"{name} has shape {value.shape} or a value that is not finite, expected {shape}"
+                )
             object.__setattr__(self, name, value)
         if self.width <= 0 or self.height <= 0:
             raise CameraError(f"image size {self.width} x {self.height} is not positive")
@@ -81,7 +83,9 @@ class Camera:
         return homogeneous[:, :2] / safe[:, None], depth
 
 
-def reproject(camera1: Camera, camera2: Camera, x1: FloatArray, depth1: FloatArray) -> tuple[FloatArray, FloatArray]:
+def reproject(
+    camera1: Camera, camera2: Camera, x1: FloatArray, depth1: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return where, and at which depth, `camera2` sees what `camera1` sees at `x1`.
 
     Parameters
@@ -112,7 +116,9 @@ def fundamental_from_cameras(camera1: Camera, camera2: Camera) -> FloatArray | N
     """
     R = camera2.R @ camera1.R.T
     t = camera2.t - R @ camera1.t
-    if np.linalg.norm(t) <= 1e-9 * max(1.0, float(np.linalg.norm(camera1.t)), float(np.linalg.norm(camera2.t))):
+    if np.linalg.norm(t) <= 1e-9 * max(
+        1.0, float(np.linalg.norm(camera1.t)), float(np.linalg.norm(camera2.t))
+    ):
         return None
     cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
     return normalise_fundamental(np.linalg.inv(camera2.K).T @ cross @ R @ np.linalg.inv(camera1.K))

@@ -89,9 +89,26 @@ class Pair:
         for path, camera in zip(self.depth_paths, (self.camera1, self.camera2), strict=True):
             depth = read_depth(path)
             if camera is not None and depth.shape != (camera.height, camera.width):
-                raise DatasetError(f"{path}: depth has shape {depth.shape}, camera {camera.height, camera.width}")
+                raise DatasetError(
+                    f"{path}: depth has shape {depth.shape}, camera {camera.height, camera.width}"
+                )
             depths.append(depth)
         return depths[0], depths[1]
+
+    def depth_views(self) -> tuple[tuple[Camera, Camera], tuple[Float32Array, Float32Array]]:
+        """Return both cameras and both depth maps.
+
+        Raises
+        ------
+        DatasetError
+            If the pair has no depth maps or no cameras, or a file is damaged.
+        """
+        depths = self.depths()
+        if depths is None or self.camera1 is None or self.camera2 is None:
+            raise DatasetError(
+                f"pair {self.pair_id!r} of {self.image1.parent.parent} has no depth maps with cameras"
+            )
+        return (self.camera1, self.camera2), depths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +171,9 @@ def read_pair_set(root: Path | str, control_points: Path | str | None = None) ->
     return PairSet(name=root.resolve().name, pairs=tuple(pairs))
 
 
-def _pair(root: Path, points_folder: Path, row: dict[str, str], cameras: dict[str, Camera], where: str) -> Pair:
+def _pair(
+    root: Path, points_folder: Path, row: dict[str, str], cameras: dict[str, Camera], where: str
+) -> Pair:
     """Make a pair of one row of ``pairs.csv`` and check that its files are there."""
     with_cameras = row["gt"] == "cameras"
     for name in (row["image1"], row["image2"]):

@@ -60,27 +60,31 @@ def write_pair_set(root: Path, pairs: Sequence[PairFiles]) -> None:
     """
     names = [pair.pair_id for pair in pairs]
     if not names or len(set(names)) < len(names):
-        raise DatasetError(f"{root}: {len(names)} pairs with {len(set(names))} pair ids; expected one or more, all different")
+        raise DatasetError(
+            f"{root}: {len(names)} pairs with {len(set(names))} pair ids; expected one or more, all different"
+        )
     pair_rows, camera_rows = [], []
     (root / "images").mkdir(parents=True, exist_ok=True)
     (root / "depth").mkdir(exist_ok=True)
     for pair in pairs:
         stems = f"{pair.pair_id}_1", f"{pair.pair_id}_2"
         images = [f"images/{stem}.jpg" for stem in stems]
-        for stem, jpeg, depth in zip(stems, (pair.jpeg1, pair.jpeg2), (pair.depth1, pair.depth2), strict=True):
+        for stem, jpeg, depth in zip(
+            stems, (pair.jpeg1, pair.jpeg2), (pair.depth1, pair.depth2), strict=True
+        ):
             (root / "images" / f"{stem}.jpg").write_bytes(jpeg)
             (root / "depth" / f"{stem}.npz").write_bytes(depth)
         pair_rows.append([pair.pair_id, *images, "cameras", pair.scene, pair.difficulty])
         camera_rows += [_camera_row(images[0], pair.camera1), _camera_row(images[1], pair.camera2)]
-    _write_table(root / "pairs.csv", PAIR_COLUMNS, pair_rows)
-    _write_table(root / "cameras.csv", CAMERA_COLUMNS, camera_rows)
+    write_table(root / "pairs.csv", PAIR_COLUMNS, pair_rows)
+    write_table(root / "cameras.csv", CAMERA_COLUMNS, camera_rows)
 
 
 def write_control_points(path: Path, x1: FloatArray, x2: FloatArray) -> None:
     """Write matched points, two arrays of shape (N, 2), with a millionth of a pixel."""
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = [[f"{value:.6f}" for value in row] for row in np.column_stack([x1, x2])]
-    _write_table(path, POINT_COLUMNS, rows)
+    write_table(path, POINT_COLUMNS, rows)
 
 
 def _camera_row(image: str, camera: Camera) -> list[str]:
@@ -90,7 +94,7 @@ def _camera_row(image: str, camera: Camera) -> list[str]:
     return [image, str(camera.width), str(camera.height), *(repr(float(number)) for number in numbers)]
 
 
-def _write_table(path: Path, columns: tuple[str, ...], rows: list[list[str]]) -> None:
+def write_table(path: Path, columns: tuple[str, ...], rows: list[list[str]]) -> None:
     """Write a comma-separated table with Unix line ends."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

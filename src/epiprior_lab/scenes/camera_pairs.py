@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.types import Float32Array, FloatArray
-from epiprior_lab.datasets import Camera
-from epiprior_lab.ground_truth import ViewDifference, covisible, depth_at, view_difference
+from epiprior_lab.datasets import Camera, ViewDifference, covisible, depth_at, view_difference
 from epiprior_lab.scenes.render import render_depth
 from epiprior_lab.scenes.settings import FamilySettings
 from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Frame, World
@@ -16,7 +15,6 @@ from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Frame, World
 _PREVIEW = 8
 _TRIES = 40
 _LEAST_DEPTH_M = 1.5
-_LEAST_RELIEF = 0.12
 _RELIEF_M = 0.3
 
 
@@ -55,7 +53,9 @@ class CameraPair:
     difference: ViewDifference
 
 
-def look_at(eye: FloatArray, target: FloatArray, *, roll_deg: float, focal_px: float, width: int, height: int) -> Camera:
+def look_at(
+    eye: FloatArray, target: FloatArray, *, roll_deg: float, focal_px: float, width: int, height: int
+) -> Camera:
     """Return a camera at `eye` that looks at `target`; with roll, things turn clockwise in its image."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(np.array([0.0, 1.0, 0.0]), forward)
@@ -68,19 +68,28 @@ def look_at(eye: FloatArray, target: FloatArray, *, roll_deg: float, focal_px: f
 
 
 def draw_camera_pair(
-    rng: np.random.Generator, world: World, subject: Subject, settings: FamilySettings, *, width: int, height: int
+    rng: np.random.Generator,
+    world: World,
+    subject: Subject,
+    settings: FamilySettings,
+    *,
+    width: int,
+    height: int,
 ) -> CameraPair | None:
     """Return the first of 40 drawn pairs whose angle, overlap and relief are within bounds; None if none is."""
     for _ in range(_TRIES):
         camera1, camera2 = _draw(rng, subject, settings, width=width, height=height)
         small = _preview(camera1), _preview(camera2)
-        depths = render_depth(world, small[0], view=FIRST_VIEW), render_depth(world, small[1], view=SECOND_VIEW)
+        depths = (
+            render_depth(world, small[0], view=FIRST_VIEW),
+            render_depth(world, small[1], view=SECOND_VIEW),
+        )
         if min(float(np.quantile(depth, 0.03)) for depth in depths) < _LEAST_DEPTH_M:
             continue
         difference = view_difference(small, depths, step=1)
         within = settings.overlap[0] <= difference.overlap <= settings.overlap[1]
         within &= settings.angle_deg[0] <= difference.angle_deg <= settings.angle_deg[1]
-        if within and _relief(subject.frame, small, depths) >= _LEAST_RELIEF:
+        if within and _relief(subject.frame, small, depths) >= settings.relief:
             return CameraPair(camera1=camera1, camera2=camera2, difference=difference)
     return None
 
@@ -114,11 +123,13 @@ def _preview(camera: Camera) -> Camera:
     K = camera.K.copy()
     K[:2] /= _PREVIEW
     K[:2, 2] += 0.5 / _PREVIEW - 0.5
-    return Camera(K=K, R=camera.R, t=camera.t, width=camera.width // _PREVIEW, height=camera.height // _PREVIEW)
+    return Camera(
+        K=K, R=camera.R, t=camera.t, width=camera.width // _PREVIEW, height=camera.height // _PREVIEW
+    )
 
 
 def _relief(frame: Frame, cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array]) -> float:
-    """Return the part of the common points that lies off the subject's plane: on one plane alone no F is decided."""
+    """Return the part of the common points that lies off the subject's plane."""
     x1, _, visible = covisible(cameras, depths)
     points = cameras[0].back_project(x1[visible], depth_at(depths[0], x1[visible]))
     return float((np.abs((points - frame.foot) @ frame.outward) > _RELIEF_M).mean())

@@ -21,7 +21,9 @@ def _random_frame(rng: np.random.Generator, position: Vector) -> Frame:
     return Frame.facing(position, float(rng.uniform(0, 360)))
 
 
-def add_tree(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_tree(
+    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
+) -> None:
     """Add a trunk and a crown of crossing sheets of leaves."""
     height, crown = float(rng.uniform(3.0, 6.5)), float(rng.uniform(1.6, 3.2))
     bark = world.texture(tinted((92, 78, 62), 0.25 * surface(rng, 256, 48, ("gravel", "tissue"), zoom=0.7)))
@@ -37,7 +39,9 @@ def add_tree(world: WorldBuilder, rng: np.random.Generator, position: Vector, vi
         world.face(sheet.point(-half, middle + half), across, down, leaves[k % 2], views=views)
 
 
-def add_lamp(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_lamp(
+    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
+) -> None:
     """Add a lamp post, with a sign on some."""
     metal = world.texture(tinted(jittered(rng, (84, 88, 88), 0.4), 0.08 * noise(rng, 256, 16, "middle")))
     frame, height = _random_frame(rng, position), float(rng.uniform(3.0, 6.0))
@@ -54,7 +58,16 @@ def _board(rng: np.random.Generator, height: int, width: int) -> Image:
     image[:] = jittered(rng, (130, 120, 110), 0.8)
     ink = (24, 24, 28) if image.mean() > 110 else (238, 234, 220)
     for y in range(height // 3, height, height // 3):
-        cv2.putText(image, letters(rng, 9), (4, y), cv2.FONT_HERSHEY_DUPLEX, height / 110, ink, max(1, height // 64), cv2.LINE_AA)
+        cv2.putText(
+            image,
+            letters(rng, 9),
+            (4, y),
+            cv2.FONT_HERSHEY_DUPLEX,
+            height / 110,
+            ink,
+            max(1, height // 64),
+            cv2.LINE_AA,
+        )
     cv2.rectangle(image, (0, 0), (width - 1, height - 1), ink, max(1, height // 24))
     return image
 
@@ -66,7 +79,10 @@ def add_car(world: WorldBuilder, rng: np.random.Generator, position: Vector, vie
     van = rng.random() < 0.3
     length, low, high = (5.2, 1.1, 2.3) if van else (4.3, 0.78, 1.42)
     side, front = world.texture(_car_side(rng, colour)), world.texture(_car_front(rng, colour))
-    glass, top = world.texture(_car_windows(rng, colour)), world.texture(tinted(colour, 0.03 * noise(rng, 64, 128, "coarse")))
+    glass, top = (
+        world.texture(_car_windows(rng, colour)),
+        world.texture(tinted(colour, 0.03 * noise(rng, 64, 128, "coarse"))),
+    )
     box(world, frame, (0.0, length), (0.18, low), (-1.7, 0.0), (side, front, top), views=views)
     start = 0.2 if van else 1.0
     box(world, frame, (start, length - 0.5), (low, high), (-1.6, -0.1), (glass, glass, top), views=views)
@@ -107,7 +123,9 @@ def _car_windows(rng: np.random.Generator, colour: tuple[float, float, float]) -
     return image
 
 
-def add_person(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_person(
+    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
+) -> None:
     """Add a passer-by: a flat figure, clothed in parts of photographs."""
     image = np.zeros((192, 72, 4), dtype=np.uint8)
     image[..., :3] = crop(rng, 192, 72, PICTURES, part=(0.3, 0.8)) // 2 + np.uint8(20)
@@ -116,7 +134,9 @@ def add_person(world: WorldBuilder, rng: np.random.Generator, position: Vector, 
     cv2.ellipse(shape, (36, 18), (12, 16), 0, 0, 360, 255, -1)
     cv2.rectangle(shape, (14, 38), (58, 112), 255, -1)
     cv2.ellipse(shape, (36, 44), (24, 12), 0, 0, 360, 255, -1)
-    cv2.fillPoly(shape, [np.array([(18, 110), (54, 110), (60, 191), (44, 191), (36, 124), (26, 191), (10, 191)])], 255)
+    cv2.fillPoly(
+        shape, [np.array([(18, 110), (54, 110), (60, 191), (44, 191), (36, 124), (26, 191), (10, 191)])], 255
+    )
     cv2.ellipse(image, (36, 18), (12, 16), 0, 0, 360, (202, 158, 132, 255), -1)
     image[..., 3] = shape
     frame = Frame.facing(position, float(rng.normal(0, 25)))
@@ -124,7 +144,9 @@ def add_person(world: WorldBuilder, rng: np.random.Generator, position: Vector, 
     upright(world, frame, (-half, half), (0.0, 5.3 * half), 0.0, world.texture(image), views=views)
 
 
-def add_crates(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_crates(
+    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
+) -> None:
     """Add a pile of boxes with pictures on them."""
     frame = _random_frame(rng, position)
     bottom, half = 0.0, float(rng.uniform(0.35, 0.9))
@@ -145,7 +167,9 @@ def _crate_side(rng: np.random.Generator) -> Image:
     return wall(rng, 176, 192, wall_style(rng, distinct=0.8), texels_per_m=120.0)
 
 
-def add_poster_board(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_poster_board(
+    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
+) -> None:
     """Add a board on two posts with a poster on each side."""
     frame = Frame.facing(position, float(rng.uniform(-50, 50)))
     wide, low = float(rng.uniform(0.8, 2.6)), float(rng.uniform(0.3, 1.0))
@@ -157,15 +181,29 @@ def add_poster_board(world: WorldBuilder, rng: np.random.Generator, position: Ve
         box(world, frame, (a, a + 0.08), (0.0, low), (-0.06, 0.0), post, views=views)
 
 
-def add_hedge(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_hedge(
+    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
+) -> None:
     """Add a clipped hedge."""
-    relief = 0.3 * surface(rng, 128, 384, ("grass", "gravel"), zoom=0.6) + 0.2 * noise(rng, 128, 384, "middle")
+    relief = 0.3 * surface(rng, 128, 384, ("grass", "gravel"), zoom=0.6) + 0.2 * noise(
+        rng, 128, 384, "middle"
+    )
     leaves = world.texture(tinted(jittered(rng, (74, 96, 48), 0.25), relief))
     frame = Frame.facing(position, float(rng.normal(0, 20)))
-    box(world, frame, (0.0, float(rng.uniform(1.5, 5))), (0.0, float(rng.uniform(0.5, 1.3))), (-0.6, 0.0), leaves, views=views)
+    box(
+        world,
+        frame,
+        (0.0, float(rng.uniform(1.5, 5))),
+        (0.0, float(rng.uniform(0.5, 1.3))),
+        (-0.6, 0.0),
+        leaves,
+        views=views,
+    )
 
 
-def add_fence(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_fence(
+    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
+) -> None:
     """Add a fence of equal bars."""
     image = np.zeros((96, 96, 4), dtype=np.uint8)
     colour = (*jittered(rng, (110, 96, 80), 0.5), 255)
@@ -174,19 +212,40 @@ def add_fence(world: WorldBuilder, rng: np.random.Generator, position: Vector, v
         image[:, x : x + int(rng.integers(5, 14))] = colour
     image[..., :3] = np.clip(image[..., :3] * (1 + 0.1 * noise(rng, 96, 96, "fine"))[..., None], 0, 255)
     frame, length = Frame.facing(position, float(rng.normal(0, 25))), float(rng.uniform(2.5, 6.0))
-    upright(world, frame, (0.0, length), (0.0, 1.0), 0.0, world.texture(image), area=(0.0, 0.0, length, 1.0), views=views)
+    upright(
+        world,
+        frame,
+        (0.0, length),
+        (0.0, 1.0),
+        0.0,
+        world.texture(image),
+        area=(0.0, 0.0, length, 1.0),
+        views=views,
+    )
 
 
-def add_rock(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_rock(
+    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
+) -> None:
     """Add a rock or statue: a bumpy ball of triangles, on a pedestal at times."""
     radius = float(rng.uniform(0.35, 0.9))
-    relief = 0.22 * surface(rng, 256, 512, SURFACES, zoom=float(rng.uniform(0.6, 1.5))) + 0.16 * noise(rng, 256, 512, "middle")
+    relief = 0.22 * surface(rng, 256, 512, SURFACES, zoom=float(rng.uniform(0.6, 1.5))) + 0.16 * noise(
+        rng, 256, 512, "middle"
+    )
     texture = world.texture(tinted(jittered(rng, (148, 140, 126), 0.3), relief))
     frame, base = _random_frame(rng, position), 0.0
     if rng.random() < 0.5:
         base = float(rng.uniform(0.5, 1.4))
         plinth = world.texture(wall(rng, 128, 160, wall_style(rng, distinct=0.6), texels_per_m=100.0))
-        box(world, frame, (-0.8 * radius, 0.8 * radius), (0.0, base), (-0.8 * radius, 0.8 * radius), plinth, views=views)
+        box(
+            world,
+            frame,
+            (-0.8 * radius, 0.8 * radius),
+            (0.0, base),
+            (-0.8 * radius, 0.8 * radius),
+            plinth,
+            views=views,
+        )
     points = _bumpy_ball(rng, radius, stretch=float(rng.uniform(0.8, 1.8)))
     centre = frame.point(0.0, base + 0.8 * radius)
     rows, columns = points.shape[0] - 1, points.shape[1] - 1
@@ -196,14 +255,32 @@ def add_rock(world: WorldBuilder, rng: np.random.Generator, position: Vector, vi
             u, v, du, dv = j / columns, i / rows, 1 / columns, 1 / rows
             upper = np.array([[u, v], [du, 0.0], [0.0, dv]])
             lower = np.array([[u + du, v + dv], [-du, 0.0], [0.0, -dv]])
-            world.face(p[0, 0], p[0, 1] - p[0, 0], p[1, 0] - p[0, 0], texture, texture_frame=upper, triangle=True, views=views)
-            world.face(p[1, 1], p[1, 0] - p[1, 1], p[0, 1] - p[1, 1], texture, texture_frame=lower, triangle=True, views=views)
+            world.face(
+                p[0, 0],
+                p[0, 1] - p[0, 0],
+                p[1, 0] - p[0, 0],
+                texture,
+                texture_frame=upper,
+                triangle=True,
+                views=views,
+            )
+            world.face(
+                p[1, 1],
+                p[1, 0] - p[1, 1],
+                p[0, 1] - p[1, 1],
+                texture,
+                texture_frame=lower,
+                triangle=True,
+                views=views,
+            )
 
 
 def _bumpy_ball(rng: np.random.Generator, radius: float, *, stretch: float) -> FloatArray:
     """Return points on a ball with dents, shape (13, 21, 3): from the top down, and around as seen from outside."""
     rows, columns = 12, 20
-    bumps = cv2.GaussianBlur(rng.standard_normal((rows + 1, columns)), (0, 0), 0.8, borderType=cv2.BORDER_REFLECT)
+    bumps = cv2.GaussianBlur(
+        rng.standard_normal((rows + 1, columns)), (0, 0), 0.8, borderType=cv2.BORDER_REFLECT
+    )
     bumps = 1.0 + 0.4 * bumps
     bumps[0], bumps[-1] = 1.0, 1.0
     bumps = np.column_stack([bumps, bumps[:, 0]])
@@ -214,7 +291,16 @@ def _bumpy_ball(rng: np.random.Generator, radius: float, *, stretch: float) -> F
     return np.asarray(radius * bumps[..., None] * np.stack([x, y, z], axis=-1))
 
 
-FURNITURE: tuple[Placer, ...] = (add_tree, add_lamp, add_car, add_crates, add_poster_board, add_hedge, add_fence, add_rock)
+FURNITURE: tuple[Placer, ...] = (
+    add_tree,
+    add_lamp,
+    add_car,
+    add_crates,
+    add_poster_board,
+    add_hedge,
+    add_fence,
+    add_rock,
+)
 """What stands in the street or garden in both views."""
 PASSING: tuple[Placer, ...] = (add_person, add_person, add_car, add_tree, add_poster_board)
 """What may stand in one view only."""

@@ -21,7 +21,16 @@ def poster(rng: np.random.Generator, height: int, width: int) -> Image:
     ink = tuple(int(c) for c in rng.integers(10, 90, size=3))
     size = max(0.3, width / 260)
     for y in range(bottom + int(22 * size), height - margin, max(4, int(26 * size))):
-        cv2.putText(image, letters(rng, 14), (margin, y), cv2.FONT_HERSHEY_DUPLEX, size, ink, max(1, int(size * 1.6)), cv2.LINE_AA)
+        cv2.putText(
+            image,
+            letters(rng, 14),
+            (margin, y),
+            cv2.FONT_HERSHEY_DUPLEX,
+            size,
+            ink,
+            max(1, int(size * 1.6)),
+            cv2.LINE_AA,
+        )
     return image
 
 
@@ -49,7 +58,16 @@ def _sign(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -
     sign = np.empty((height, int(height * rng.uniform(2, 6)), 3), dtype=np.uint8)
     sign[:] = jittered(rng, (120, 110, 100), 0.7)
     ink = (20, 20, 24) if sign.mean() > 110 else (236, 232, 214)
-    cv2.putText(sign, letters(rng, 10), (4, int(0.75 * height)), cv2.FONT_HERSHEY_TRIPLEX, height / 40, ink, max(1, height // 18), cv2.LINE_AA)
+    cv2.putText(
+        sign,
+        letters(rng, 10),
+        (4, int(0.75 * height)),
+        cv2.FONT_HERSHEY_TRIPLEX,
+        height / 40,
+        ink,
+        max(1, height // 18),
+        cv2.LINE_AA,
+    )
     cv2.rectangle(sign, (0, 0), (sign.shape[1] - 1, height - 1), ink, max(1, height // 16))
     paste(wall, sign, x, y)
 
@@ -59,8 +77,18 @@ def _scrawl(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float)
     for _ in range(int(rng.integers(2, 6))):
         t = np.linspace(0, 1, 40)[:, None]
         control = rng.uniform(-0.8, 0.8, size=(4, 2)) * scale + (x, y)
-        curve = (1 - t) ** 3 * control[0] + 3 * t * (1 - t) ** 2 * control[1] + 3 * t**2 * (1 - t) * control[2] + t**3 * control[3]
-        _on_colours(wall, lambda image, c=curve: cv2.polylines(image, [c.astype(np.int32)], False, colour, int(rng.integers(2, 6)), cv2.LINE_AA))  # type: ignore[misc]
+        curve = (
+            (1 - t) ** 3 * control[0]
+            + 3 * t * (1 - t) ** 2 * control[1]
+            + 3 * t**2 * (1 - t) * control[2]
+            + t**3 * control[3]
+        )
+        _on_colours(
+            wall,
+            lambda image, c=curve: cv2.polylines(
+                image, [c.astype(np.int32)], False, colour, int(rng.integers(2, 6)), cv2.LINE_AA
+            ),
+        )  # type: ignore[misc]
 
 
 def _patch(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -> None:
@@ -69,7 +97,7 @@ def _patch(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) 
     height, width = area.shape[:2]
     if min(height, width) < 8:
         return
-    v, u = np.mgrid[-1:1:height * 1j, -1:1:width * 1j]  # type: ignore[misc]
+    v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]  # type: ignore[misc]
     inside = (0.9 - np.maximum(np.abs(u), np.abs(v)) + 0.12 * noise(rng, height, width, "middle")) > 0
     tone = rng.uniform(0.65, 1.25) + 0.05 * noise(rng, height, width, "fine")
     area[:] = np.where(inside[..., None], np.clip(area * tone[..., None], 0, 255), area)
@@ -81,7 +109,7 @@ def _stain(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) 
     height, width = area.shape[:2]
     if min(height, width) < 8:
         return
-    v, u = np.mgrid[-1:1:height * 1j, -1:1:width * 1j]  # type: ignore[misc]
+    v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]  # type: ignore[misc]
     density = np.clip(1.0 - u**2 - v**2 + 0.3 * noise(rng, height, width, "middle"), 0, 1)
     area[:] = area * (1 - rng.uniform(0.15, 0.45) * density[..., None])
 

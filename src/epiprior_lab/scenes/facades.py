@@ -52,7 +52,9 @@ class HouseStyle:
     texels_per_m: float
 
 
-def house_style(rng: np.random.Generator, *, distinct: float, variety: float, texels_per_m: float) -> HouseStyle:
+def house_style(
+    rng: np.random.Generator, *, distinct: float, variety: float, texels_per_m: float
+) -> HouseStyle:
     """Draw a house; `distinct` walls and `variety` of windows in [0, 1] make places easier to tell apart."""
     walls = wall_style(rng, distinct=distinct)
     window = window_style(rng, walls.colour, variety=variety)
@@ -145,7 +147,9 @@ def _openings(
                 half = 0.5 * min(rng.uniform(1.0, 2.4), style.bay_m - 0.4)
                 entrances.append((middle - half, 0.05, middle + half, min(2.5, style.storey_m - 0.2)))
             elif chance < 0.96:
-                windows.append((middle - window.width_m / 2, foot, middle + window.width_m / 2, foot + window.height_m))
+                windows.append(
+                    (middle - window.width_m / 2, foot, middle + window.width_m / 2, foot + window.height_m)
+                )
     return windows, entrances
 
 
@@ -199,7 +203,9 @@ def _add_relief(
         box(world, frame, (a, a + 0.1), (b, b + 1.0), (0.15, 0.95), (metal, picture, metal))
 
 
-def _add_balcony(world: WorldBuilder, frame: Frame, a: tuple[float, float], b: float, stone: int, rail: int) -> None:
+def _add_balcony(
+    world: WorldBuilder, frame: Frame, a: tuple[float, float], b: float, stone: int, rail: int
+) -> None:
     """Add a slab with a railing on three sides."""
     far = 0.9
     box(world, frame, a, (b - 0.15, b), (0.0, far), stone)
@@ -240,7 +246,9 @@ def _moulding(rng: np.random.Generator, style: HouseStyle) -> Image:
     return image
 
 
-def _add_roof(world: WorldBuilder, rng: np.random.Generator, frame: Frame, *, width: float, height: float, depth: float) -> None:
+def _add_roof(
+    world: WorldBuilder, rng: np.random.Generator, frame: Frame, *, width: float, height: float, depth: float
+) -> None:
     """Add two slopes and two gables, and chimneys."""
     rise, eave = float(rng.uniform(0.15, 0.45)) * depth, 0.5
     tiles = world.texture(roof(rng, 384, 512, texels_per_m=40.0))

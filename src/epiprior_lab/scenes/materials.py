@@ -77,7 +77,7 @@ def wall_style(rng: np.random.Generator, *, distinct: float) -> WallStyle:
         second_colour=jittered(rng, colour, 0.3),
         course_m=float(rng.uniform(*course)),
         stone_m=float(rng.uniform(*stone)),
-        roughness=float(rng.uniform(0.01, 0.03) + 0.05 * distinct * rng.uniform(0.4, 1.0)),
+        roughness=float(rng.uniform(0.015, 0.035) + 0.05 * distinct * rng.uniform(0.4, 1.0)),
         stains=float(rng.uniform(0.02, 0.05) + 0.09 * distinct * rng.uniform(0.4, 1.0)),
     )
 
@@ -110,7 +110,9 @@ def courses(
     return relief
 
 
-def wall(rng: np.random.Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float) -> Image:
+def wall(
+    rng: np.random.Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float
+) -> Image:
     """Return a wall, shape (height, width, 3), that repeats only what its masonry repeats."""
     relief = style.roughness * surface(
         rng, height, width, ("gravel", "grass", "tissue", "moon"), zoom=float(rng.uniform(0.8, 2.5))
@@ -139,7 +141,9 @@ def _add_cracks(rng: np.random.Generator, relief: Float32Array, *, count: int) -
         angle = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.45, size=steps))
         path = np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]) * rng.uniform(3, 9), axis=0)
         path += rng.uniform((0, 0), (width, height))
-        cv2.polylines(relief, [path.astype(np.int32)], False, float(-rng.uniform(0.15, 0.4)), int(rng.integers(1, 3)))
+        cv2.polylines(
+            relief, [path.astype(np.int32)], False, float(-rng.uniform(0.15, 0.4)), int(rng.integers(1, 3))
+        )
 
 
 def roof(rng: np.random.Generator, height: int, width: int, *, texels_per_m: float) -> Image:
@@ -160,7 +164,12 @@ def pavement(rng: np.random.Generator, height: int, width: int, *, texels_per_m:
     relief = 0.07 * noise(rng, height, width, "coarse") + 0.03 * noise(rng, height, width, "fine")
     if kind == "grass":
         relief += 0.16 * surface(rng, height, width, ("grass",), zoom=float(rng.uniform(0.4, 0.8)))
-        return tinted((104, 118, 62), relief, (150, 140, 84), np.clip(0.4 + 0.4 * noise(rng, height, width, "middle"), 0, 1))
+        return tinted(
+            (104, 118, 62),
+            relief,
+            (150, 140, 84),
+            np.clip(0.4 + 0.4 * noise(rng, height, width, "middle"), 0, 1),
+        )
     grey = jittered(rng, (140, 134, 126), 0.2)
     if kind in ("slabs", "setts"):
         side = (rng.uniform(0.35, 0.8) if kind == "slabs" else rng.uniform(0.12, 0.2)) * texels_per_m
@@ -179,15 +188,26 @@ def foliage(rng: np.random.Generator, side: int) -> Image:
     relief += 0.25 * noise(rng, side, side, "middle")
     green = jittered(rng, (84, 104, 52), 0.25)
     image = tinted(green, relief)
-    y, x = np.mgrid[-1:1:side * 1j, -1:1:side * 1j]  # type: ignore[misc]
-    density = 1.1 - np.hypot(x, y) * 1.35 + 0.35 * noise(rng, side, side, "middle") + 0.25 * noise(rng, side, side, "fine")
+    y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]  # type: ignore[misc]
+    density = (
+        1.1
+        - np.hypot(x, y) * 1.35
+        + 0.35 * noise(rng, side, side, "middle")
+        + 0.25 * noise(rng, side, side, "fine")
+    )
     opacity = np.where(density > 0, 255, 0).astype(np.uint8)
     return np.dstack([image, opacity])
 
 
 def ornament(rng: np.random.Generator, height: int, width: int, colour: Colour) -> Image:
     """Return a carved relief in one colour, shape (height, width, 3): a part of a photograph turned to stone."""
-    carved = crop(rng, height, width, ("coins", "china", "flower", "motorcycle", "astronaut", "moon", "camera"), part=(0.2, 0.5))
+    carved = crop(
+        rng,
+        height,
+        width,
+        ("coins", "china", "flower", "motorcycle", "astronaut", "moon", "camera"),
+        part=(0.2, 0.5),
+    )
     grey = cv2.cvtColor(carved, cv2.COLOR_RGB2GRAY).astype(np.float32)
     grey -= grey.mean()
     return tinted(colour, np.asarray(0.28 * grey / max(float(grey.std()), 4.0), dtype=np.float32))

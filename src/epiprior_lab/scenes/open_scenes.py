@@ -27,7 +27,15 @@ def draw_open_scene(rng: np.random.Generator, settings: FamilySettings) -> tuple
             texels_per_m=_TEXELS_PER_M,
         )
         place = Frame.facing((across, 0.0, float(rng.uniform(2, 10))), turn)
-        add_house(world, rng, place, style, width=wide, height=float(rng.uniform(3, 8)), depth=float(rng.uniform(4, 7)))
+        add_house(
+            world,
+            rng,
+            place,
+            style,
+            width=wide,
+            height=float(rng.uniform(3, 8)),
+            depth=float(rng.uniform(4, 7)),
+        )
         across += wide + float(rng.uniform(1.5, 5.0))
     for placer in (add_rock, add_crates, add_poster_board, add_rock, add_crates):
         position = rng.uniform(-4, 4), 0.0, rng.uniform(-3.5, 1.5)

@@ -8,8 +8,7 @@ import numpy as np
 
 from epiprior.errors import EpipriorError, SettingsError
 from epiprior.types import Float32Array
-from epiprior_lab.datasets import Camera
-from epiprior_lab.ground_truth import ViewDifference
+from epiprior_lab.datasets import Camera, ViewDifference
 from epiprior_lab.scenes.camera_pairs import draw_camera_pair
 from epiprior_lab.scenes.light import draw_light
 from epiprior_lab.scenes.open_scenes import draw_open_scene
@@ -106,9 +105,13 @@ def render_pair(
         images, depths = [], []
         light = draw_light(rng)
         lights = light, draw_light(rng) if rng.random() < settings.relit else light
-        for camera, view, sun in zip((cameras.camera1, cameras.camera2), (FIRST_VIEW, SECOND_VIEW), lights, strict=True):
+        for camera, view, sun in zip(
+            (cameras.camera1, cameras.camera2), (FIRST_VIEW, SECOND_VIEW), lights, strict=True
+        ):
             shadows = cast_shadows(world, sun, subject.frame.foot, view=view)
-            images.append(take(render_image(world, camera, sun, shadows, view=view), draw_photograph(rng), rng))
+            images.append(
+                take(render_image(world, camera, sun, shadows, view=view), draw_photograph(rng), rng)
+            )
             depths.append(render_depth(world, camera, view=view))
         return RenderedPair(
             image1=images[0],
@@ -119,4 +122,6 @@ def render_pair(
             camera2=cameras.camera2,
             difference=cameras.difference,
         )
-    raise SceneError(f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes")
+    raise SceneError(
+        f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes"
+    )

@@ -17,8 +17,10 @@ class Photograph:
 
     Parameters
     ----------
-    gain : tuple of float
-        Exposure of red, green and blue.
+    exposure : float
+        Median brightness that the camera aims at, levels of 256.
+    balance : tuple of float
+        Factors of red, green and blue on top.
     gamma : float
         Exponent of the tone curve.
     vignetting : float
@@ -29,7 +31,8 @@ class Photograph:
         Deviation of the noise at mid-grey, levels of 256.
     """
 
-    gain: tuple[float, float, float]
+    exposure: float
+    balance: tuple[float, float, float]
     gamma: float
     vignetting: float
     blur_px: float
@@ -38,9 +41,10 @@ class Photograph:
 
 def draw_photograph(rng: np.random.Generator) -> Photograph:
     """Draw how a picture was taken."""
-    exposure, warmth = rng.uniform(0.82, 1.22), rng.uniform(-0.06, 0.06)
+    warmth = float(rng.uniform(-0.06, 0.06))
     return Photograph(
-        gain=(float(exposure * (1 + warmth)), float(exposure), float(exposure * (1 - warmth))),
+        exposure=float(rng.uniform(82, 120)),
+        balance=(1.0 + warmth, 1.0, 1.0 - warmth),
         gamma=float(rng.uniform(0.85, 1.2)),
         vignetting=float(rng.uniform(0.0, 0.2)),
         blur_px=float(rng.uniform(0.3, 0.9)),
@@ -54,11 +58,16 @@ def take(image: Image, photograph: Photograph, rng: np.random.Generator) -> Imag
     if photograph.blur_px > 0.2:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), photograph.blur_px), dtype=np.uint8)
     tones = (np.arange(256) / 255.0) ** photograph.gamma * 255.0
-    light = tones[:, None] * np.array(photograph.gain)
+    middle = max(float(np.median(tones[image[::8, ::8]])), 1.0)
+    gain = np.clip(photograph.exposure / middle, 0.6, 2.2)
+    light = tones[:, None] * gain * np.array(photograph.balance)
     # A soft shoulder instead of clipping: skies keep their tone.
     light = np.where(light > 220, 220 + 35 * (1 - np.exp(-(light - 220) / 35)), light)
     exposed = cv2.LUT(image, light.astype(np.float32)[:, None, :].reshape(256, 1, 3))
-    y, x = np.linspace(-1, 1, height, dtype=np.float32)[:, None], np.linspace(-1, 1, width, dtype=np.float32)[None]
+    y, x = (
+        np.linspace(-1, 1, height, dtype=np.float32)[:, None],
+        np.linspace(-1, 1, width, dtype=np.float32)[None],
+    )
     exposed *= (1 - photograph.vignetting * (x * x + y * y) / 2)[..., None]
     # Shared by the channels mostly, as after the demosaicing and denoising of a real camera.
     grains = cv2.resize(rng.standard_normal((height, width), dtype=np.float32), (width, height))
@@ -76,5 +85,7 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
     """
     if not 1 <= quality <= 100:
         raise SettingsError(f"jpeg_quality = {quality}, expected 1 to 100")
-    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    _, data = cv2.imencode(
+        ".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality]
+    )
     return data.tobytes()

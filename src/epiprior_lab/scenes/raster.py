@@ -14,11 +14,14 @@ import numpy as np
 
 _OPAQUE = 128
 _MAX_PROBES = 4.0
-_SHADOW_BIAS_M = 0.07
+_SHADOW_OFFSET_M = 0.08
+_SHADOW_BIAS_M = 0.02
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest_faces(inverse, bounds, triangle, cut_out, frame, texture, levels, texels, samples, inverse_depth, face):  # type: ignore[no-untyped-def]
+def nearest_faces(
+    inverse, bounds, triangle, cut_out, frame, texture, levels, texels, samples, inverse_depth, face
+):  # type: ignore[no-untyped-def]
     """Write the inverse depth and the number of the nearest face of each sample; both arrays come in as 0 and -1.
 
     `samples` per pixel and axis; `bounds` are pixels (left, top, right, bottom) outside which a face is not seen.
@@ -158,7 +161,12 @@ def _surroundings_at(surroundings, x, y, z):  # type: ignore[no-untyped-def]
     c1 = (c0 + 1) % columns
     a, b = c - math.floor(c), r - r0
     k00, k01, k10, k11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-    t00, t01, t10, t11 = surroundings[r0, c0], surroundings[r0, c1], surroundings[r0 + 1, c0], surroundings[r0 + 1, c1]
+    t00, t01, t10, t11 = (
+        surroundings[r0, c0],
+        surroundings[r0, c1],
+        surroundings[r0 + 1, c0],
+        surroundings[r0 + 1, c1],
+    )
     return (
         k00 * t00[0] + k01 * t01[0] + k10 * t10[0] + k11 * t11[0],
         k00 * t00[1] + k01 * t01[1] + k10 * t10[1] + k11 * t11[1],
@@ -185,7 +193,24 @@ def _sunlit(projection, depth, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _face_colour(M, frame, levels, texels, light, mirror, normal, surroundings, shadow_projection, shadow_depth, eye, x, y, rx, ry, rz):  # type: ignore[no-untyped-def]
+def _face_colour(
+    M,
+    frame,
+    levels,
+    texels,
+    light,
+    mirror,
+    normal,
+    surroundings,
+    shadow_projection,
+    shadow_depth,
+    eye,
+    x,
+    y,
+    rx,
+    ry,
+    rz,
+):  # type: ignore[no-untyped-def]
     """Return the colour of a face around a pixel (x, y), whose ray in the world is (rx, ry, rz).
 
     `light` is the brightness in the shade, and what the sun adds.
@@ -203,20 +228,45 @@ def _face_colour(M, frame, levels, texels, light, mirror, normal, surroundings, 
         r, g, b, opacity = r + dr, g + dg, b + db, opacity + da
     shade = light[0]
     if light[1] > 0.0:
-        z = 1.0 / w
-        shade += light[1] * _sunlit(shadow_projection, shadow_depth, eye[0] + z * rx, eye[1] + z * ry, eye[2] + z * rz)
+        # Tested a little before the face, or faces at a slant to the sun would be dotted with their own shadow.
+        z, above = 1.0 / w, _SHADOW_OFFSET_M
+        px, py, pz = (
+            eye[0] + z * rx + above * normal[0],
+            eye[1] + z * ry + above * normal[1],
+            eye[2] + z * rz + above * normal[2],
+        )
+        shade += light[1] * _sunlit(shadow_projection, shadow_depth, px, py, pz)
     factor = shade / probes
     r, g, b = r * factor, g * factor, b * factor
     share = mirror * min(max((255.0 - opacity / probes) / (255.0 - _OPAQUE), 0.0), 1.0)
     if share > 0.0:
         d = 2.0 * (rx * normal[0] + ry * normal[1] + rz * normal[2])
-        mr, mg, mb = _surroundings_at(surroundings, rx - d * normal[0], ry - d * normal[1], rz - d * normal[2])
+        mr, mg, mb = _surroundings_at(
+            surroundings, rx - d * normal[0], ry - d * normal[1], rz - d * normal[2]
+        )
         r, g, b = r + share * (mr - r), g + share * (mg - g), b + share * (mb - b)
     return r, g, b
 
 
 @numba.njit(cache=True, nogil=True)
-def paint(inverse, frame, texture, light, mirror, normal, levels, texels, surroundings, shadow_projection, shadow_depth, to_world, eye, samples, face, image):  # type: ignore[no-untyped-def]
+def paint(
+    inverse,
+    frame,
+    texture,
+    light,
+    mirror,
+    normal,
+    levels,
+    texels,
+    surroundings,
+    shadow_projection,
+    shadow_depth,
+    to_world,
+    eye,
+    samples,
+    face,
+    image,
+):  # type: ignore[no-untyped-def]
     """Write the colour of each pixel: the mean over its samples, each face looked up once.
 
     `to_world` maps a pixel (x, y, 1) to its ray in the world, which starts at `eye`; `face` holds `samples` x `samples` numbers per pixel.

@@ -82,7 +82,9 @@ def render_image(
     return image
 
 
-def _nearest(world: World, camera: Camera, seen: _Seen, samples: int) -> tuple[Float32Array, NDArray[np.int32]]:
+def _nearest(
+    world: World, camera: Camera, seen: _Seen, samples: int
+) -> tuple[Float32Array, NDArray[np.int32]]:
     """Return inverse depth and the number of the nearest face, among those seen, at each sample."""
     shape = camera.height * samples, camera.width * samples
     inverse_depth, face = np.zeros(shape, dtype=np.float32), np.full(shape, -1, dtype=np.int32)

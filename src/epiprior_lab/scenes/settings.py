@@ -31,6 +31,8 @@ class FamilySettings:
         Ratio of the distances of both cameras, >= 1.
     roll_deg : tuple of float
         Rotation of the second camera about its axis, either way, degrees.
+    relief : float
+        Least part of what both images see that lies off the front's plane, in [0, 1]: on one plane no F is decided.
     passing : tuple of float
         Things that stand in one image only, for each image.
     relit : float
@@ -44,11 +46,12 @@ class FamilySettings:
     overlap: Bounds
     scale_ratio: Bounds
     roll_deg: Bounds
+    relief: float
     passing: Bounds
     relit: float
 
     def __post_init__(self) -> None:
-        for name in ("facades", "relit"):
+        for name in ("facades", "relief", "relit"):
             if not 0 <= getattr(self, name) <= 1:
                 raise SettingsError(f"{name} = {getattr(self, name)}, expected a number in [0, 1]")
         limits = {"distinct": (0, 1), "variety": (0, 1), "angle_deg": (0, 90), "overlap": (0, 1), "scale_ratio": (1, 8),
@@ -58,26 +61,28 @@ class FamilySettings:
                 low, high = getattr(self, field.name)
                 least, most = limits[field.name]
                 if not least <= low <= high <= most:
-                    raise SettingsError(f"{field.name} = ({low}, {high}), expected {least} <= low <= high <= {most}")
+                    raise SettingsError(
+                        f"{field.name} = ({low}, {high}), expected {least} <= low <= high <= {most}"
+                    )
 
 
 FAMILIES: Mapping[str, FamilySettings] = MappingProxyType(
     {
         "facades-easy": FamilySettings(
-            facades=1.0, distinct=(0.5, 1.0), variety=(0.5, 1.0), angle_deg=(6, 22), overlap=(0.5, 1.0),
-            scale_ratio=(1.0, 1.25), roll_deg=(0, 3), passing=(0, 1), relit=0.0,
+            facades=1.0, distinct=(0.5, 1.0), variety=(0.5, 1.0), angle_deg=(6, 20), overlap=(0.5, 1.0),
+            scale_ratio=(1.0, 1.25), roll_deg=(0, 3), relief=0.3, passing=(0, 1), relit=0.0,
         ),
         "facades-hard": FamilySettings(
-            facades=1.0, distinct=(0.0, 0.3), variety=(0.2, 0.6), angle_deg=(42, 65), overlap=(0.2, 0.7),
-            scale_ratio=(1.0, 1.9), roll_deg=(0, 5), passing=(1, 4), relit=0.5,
+            facades=1.0, distinct=(0.0, 0.3), variety=(0.2, 0.6), angle_deg=(40, 62), overlap=(0.22, 0.7),
+            scale_ratio=(1.0, 1.9), roll_deg=(0, 5), relief=0.15, passing=(1, 4), relit=0.5,
         ),
         "open": FamilySettings(
             facades=0.0, distinct=(0.2, 0.7), variety=(0.3, 1.0), angle_deg=(30, 60), overlap=(0.15, 0.45),
-            scale_ratio=(1.0, 2.5), roll_deg=(0, 6), passing=(0, 3), relit=0.25,
+            scale_ratio=(1.0, 2.5), roll_deg=(0, 6), relief=0.15, passing=(0, 3), relit=0.25,
         ),
         "rolled": FamilySettings(
             facades=0.5, distinct=(0.2, 0.7), variety=(0.3, 1.0), angle_deg=(15, 45), overlap=(0.25, 0.8),
-            scale_ratio=(1.0, 2.2), roll_deg=(20, 180), passing=(1, 5), relit=0.0,
+            scale_ratio=(1.0, 2.2), roll_deg=(20, 180), relief=0.15, passing=(1, 5), relit=0.0,
         ),
     }
 )  # fmt: skip

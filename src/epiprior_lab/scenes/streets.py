@@ -35,7 +35,8 @@ def _add_backdrop(world: WorldBuilder, rng: np.random.Generator) -> None:
     textures = [world.texture(_row_of_houses(rng)) for _ in range(3)]
     for k in range(corners):
         here, there = (
-            radius * np.array([np.cos(a), 0.0, np.sin(a)]) for a in (2 * np.pi * k / corners, 2 * np.pi * (k + 1) / corners)
+            radius * np.array([np.cos(a), 0.0, np.sin(a)])
+            for a in (2 * np.pi * k / corners, 2 * np.pi * (k + 1) / corners)
         )
         high = float(rng.uniform(7, 13))
         # Seen from inside the ring the corners follow each other from right to left.
@@ -95,19 +96,28 @@ def draw_street(rng: np.random.Generator, settings: FamilySettings) -> tuple[Wor
     return world.build(), subject
 
 
-def _add_returns(world: WorldBuilder, rng: np.random.Generator, frame: Frame, *, width: float, height: float, depth: float) -> None:
+def _add_returns(
+    world: WorldBuilder, rng: np.random.Generator, frame: Frame, *, width: float, height: float, depth: float
+) -> None:
     """Close a part that stands forward on both sides, with a wall of its own masonry."""
-    texture = world.texture(wall(rng, int(24 * height), max(8, int(24 * depth)), wall_style(rng, distinct=0.3), texels_per_m=24.0))
+    texture = world.texture(
+        wall(rng, int(24 * height), max(8, int(24 * depth)), wall_style(rng, distinct=0.3), texels_per_m=24.0)
+    )
     upright(world, frame.side(width), (0.0, depth), (0.0, height), 0.0, texture)
     left = Frame(frame.point(0.0, 0.0, -depth), frame.outward, -frame.right)
     upright(world, left, (0.0, depth), (0.0, height), 0.0, texture)
 
 
-def _add_neighbours(world: WorldBuilder, rng: np.random.Generator, frame: Frame, settings: FamilySettings, *, width: float) -> None:
+def _add_neighbours(
+    world: WorldBuilder, rng: np.random.Generator, frame: Frame, settings: FamilySettings, *, width: float
+) -> None:
     """Add a house on either side, in line, set back, or standing forward so that its side is seen."""
     for side in (-1, 1):
         style = house_style(
-            rng, distinct=float(rng.uniform(*settings.distinct)), variety=float(rng.uniform(*settings.variety)), texels_per_m=40.0
+            rng,
+            distinct=float(rng.uniform(*settings.distinct)),
+            variety=float(rng.uniform(*settings.variety)),
+            texels_per_m=40.0,
         )
         wide, forward = float(rng.uniform(7, 11)), float(rng.choice((-3.0, -1.0, 0.8, 2.5, 4.0)))
         start = -wide - rng.uniform(0, 1.5) if side < 0 else width + rng.uniform(0, 1.5)
@@ -116,7 +126,13 @@ def _add_neighbours(world: WorldBuilder, rng: np.random.Generator, frame: Frame,
 
 
 def _add_things(
-    world: WorldBuilder, rng: np.random.Generator, settings: FamilySettings, *, near: float, far: float, spread: float
+    world: WorldBuilder,
+    rng: np.random.Generator,
+    settings: FamilySettings,
+    *,
+    near: float,
+    far: float,
+    spread: float,
 ) -> None:
     """Scatter furniture before the subject, and what stands there in one view only."""
     for _ in range(int(rng.integers(3, 8))):

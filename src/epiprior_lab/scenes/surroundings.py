@@ -14,7 +14,9 @@ _ROWS, _COLUMNS = 512, 1024
 def draw_surroundings(rng: np.random.Generator) -> Image:
     """Return a picture of all directions, shape (512, 1024, 3): zenith in the first row, the horizon in the middle."""
     half = _ROWS // 2
-    zenith = np.array(((92, 130, 186), (150, 160, 172), (118, 148, 190))[int(rng.integers(3))], dtype=np.float32)
+    zenith = np.array(
+        ((92, 130, 186), (150, 160, 172), (118, 148, 190))[int(rng.integers(3))], dtype=np.float32
+    )
     horizon = np.array((206, 212, 216), dtype=np.float32)
     part = np.linspace(0, 1, half, dtype=np.float32)[:, None, None] ** 1.5
     sky = np.repeat(zenith * (1 - part) + horizon * part, _COLUMNS, axis=1)

@@ -57,7 +57,10 @@ def photograph(name: str) -> Image:
     """
     package, file = _FILES[name]
     try:
-        with resources.files(package).joinpath(file).open("rb") as stream, PillowImage.open(stream) as picture:
+        with (
+            resources.files(package).joinpath(file).open("rb") as stream,
+            PillowImage.open(stream) as picture,
+        ):
             image = np.array(picture.convert("RGB"))
     except (OSError, ModuleNotFoundError) as error:
         raise ImageError(f"photograph {file!r} of package {package!r} cannot be read: {error}") from error
@@ -71,7 +74,9 @@ def _noise_field(grain: Grain) -> Float32Array:
     rng = np.random.default_rng(list(_EXPONENT).index(grain))
     white = rng.standard_normal((_FIELD_SIDE, _FIELD_SIDE), dtype=np.float32)
     spectrum = fft.rfft2(white)
-    frequency = np.hypot(fft.fftfreq(_FIELD_SIDE)[:, None], fft.rfftfreq(_FIELD_SIDE)[None]).astype(np.float32)
+    frequency = np.hypot(fft.fftfreq(_FIELD_SIDE)[:, None], fft.rfftfreq(_FIELD_SIDE)[None]).astype(
+        np.float32
+    )
     frequency[0, 0] = np.inf
     field = fft.irfft2(spectrum * np.maximum(frequency, 2.0 / _FIELD_SIDE) ** -_EXPONENT[grain])
     return np.ascontiguousarray((field / field.std()).astype(np.float32))
@@ -90,7 +95,12 @@ def noise(rng: np.random.Generator, height: int, width: int, grain: Grain) -> Fl
 
 
 def crop(
-    rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, part: tuple[float, float] = (0.3, 1.0)
+    rng: np.random.Generator,
+    height: int,
+    width: int,
+    names: Sequence[str],
+    *,
+    part: tuple[float, float] = (0.3, 1.0),
 ) -> Image:
     """Return a random part of a random photograph at the wanted size, shape (height, width, 3).
 
@@ -114,10 +124,14 @@ def crop(
     if rng.random() < 0.5:
         window = window[:, ::-1]
     how = cv2.INTER_AREA if h > height else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(np.ascontiguousarray(window), (width, height), interpolation=how), dtype=np.uint8)
+    return np.asarray(
+        cv2.resize(np.ascontiguousarray(window), (width, height), interpolation=how), dtype=np.uint8
+    )
 
 
-def surface(rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, zoom: float) -> Float32Array:
+def surface(
+    rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, zoom: float
+) -> Float32Array:
     """Return the brightness of a photograph, tiled by mirroring, shape (height, width), mean 0 and deviation 1.
 
     `zoom` texels per pixel of the photograph.
@@ -127,7 +141,9 @@ def surface(rng: np.random.Generator, height: int, width: int, names: Sequence[s
     top, left = int(rng.integers(image.shape[0])), int(rng.integers(image.shape[1]))
     r = _mirrored(np.arange(top, top + rows), image.shape[0])
     c = _mirrored(np.arange(left, left + columns), image.shape[1])
-    window = cv2.resize(image[r[:, None], c[None]].astype(np.float32), None, fx=zoom, fy=zoom)[:height, :width]
+    window = cv2.resize(image[r[:, None], c[None]].astype(np.float32), None, fx=zoom, fy=zoom)[
+        :height, :width
+    ]
     window = cv2.resize(window, (width, height)) if window.shape != (height, width) else window
     return np.asarray((window - window.mean()) / max(float(window.std()), 1.0), dtype=np.float32)
 

@@ -56,7 +56,12 @@ class WindowStyle:
 def window_style(rng: np.random.Generator, wall_colour: Colour, *, variety: float) -> WindowStyle:
     """Draw a window."""
     frames = ((235, 232, 225), (96, 66, 44), (60, 66, 72), (222, 214, 196), (46, 72, 60))
-    trims = (tuple(min(245.0, 1.22 * c) for c in wall_colour), (206, 198, 180), (150, 140, 128), (232, 228, 220))
+    trims = (
+        tuple(min(245.0, 1.22 * c) for c in wall_colour),
+        (206, 198, 180),
+        (150, 140, 128),
+        (232, 228, 220),
+    )
     shutters = ((70, 92, 72), (110, 60, 48), (72, 84, 110), (130, 118, 98))
     trim = trims[int(rng.integers(len(trims)))]
     return WindowStyle(
@@ -114,7 +119,9 @@ def _draw_curtains(rng: np.random.Generator, area: Image, style: WindowStyle) ->
     if kind.startswith("sides"):
         part = int(width * rng.uniform(0.12, 0.3))
         for columns in (slice(0, part), slice(width - part - int(rng.integers(0, 4)), width)):
-            area[:, columns, :3] = cv2.addWeighted(area[:, columns, :3], 0.3, np.repeat(cloth[:, columns], height, 0), 0.7, 0)
+            area[:, columns, :3] = cv2.addWeighted(
+                area[:, columns, :3], 0.3, np.repeat(cloth[:, columns], height, 0), 0.7, 0
+            )
     if kind == "full":
         area[..., :3] = cv2.addWeighted(area[..., :3], 0.35, np.repeat(cloth, height, 0), 0.65, 0)
     if kind.endswith("blind"):
@@ -135,15 +142,28 @@ def draw_trim(
     edge = tuple(0.62 * c for c in style.trim_colour) + (_SOLID,)
     if style.lintel != "none":
         cv2.rectangle(wall, (left - band, top - band), (right + band, bottom + band), edge, -1)
-        cv2.rectangle(wall, (left - band + 1, top - band + 1), (right + band - 1, bottom + band - 1), colour, -1)
-        cv2.rectangle(wall, (left - band // 3, top - band // 3), (right + band // 3, bottom + band // 3), edge, 1)
+        cv2.rectangle(
+            wall, (left - band + 1, top - band + 1), (right + band - 1, bottom + band - 1), colour, -1
+        )
+        cv2.rectangle(
+            wall, (left - band // 3, top - band // 3), (right + band // 3, bottom + band // 3), edge, 1
+        )
     middle, high = (left + right) // 2, top - band
     if style.lintel == "keystone":
-        key = np.array([(middle - band, high - band), (middle + band, high - band), (middle + band // 2, top), (middle - band // 2, top)])
+        key = np.array(
+            [
+                (middle - band, high - band),
+                (middle + band, high - band),
+                (middle + band // 2, top),
+                (middle - band // 2, top),
+            ]
+        )
         cv2.fillPoly(wall, [key.astype(np.int32)], colour, cv2.LINE_AA)
         cv2.polylines(wall, [key.astype(np.int32)], True, edge, 1, cv2.LINE_AA)
     elif style.lintel == "pediment":
-        gable = np.array([(left - 2 * band, high), (middle, high - 3 * band), (right + 2 * band, high)], dtype=np.int32)
+        gable = np.array(
+            [(left - 2 * band, high), (middle, high - 3 * band), (right + 2 * band, high)], dtype=np.int32
+        )
         cv2.fillPoly(wall, [gable], colour, cv2.LINE_AA)
         cv2.polylines(wall, [gable], True, edge, max(1, band // 3), cv2.LINE_AA)
     elif style.lintel == "arch":
@@ -155,25 +175,39 @@ def draw_trim(
     if style.shutters:
         _draw_shutters(rng, wall, opening, style)
     if rng.random() < 0.3 + 0.5 * style.variety:
-        _draw_streaks(rng, wall, (left, min(bottom + band, wall.shape[0] - 1), right), length=int(rng.uniform(0.3, 1.2) * texels_per_m))
+        _draw_streaks(
+            rng,
+            wall,
+            (left, min(bottom + band, wall.shape[0] - 1), right),
+            length=int(rng.uniform(0.3, 1.2) * texels_per_m),
+        )
 
 
 def carved_lintel(rng: np.random.Generator, style: WindowStyle, *, texels_per_m: float) -> Image | None:
     """Return the relief above every window of a house, if its style has one."""
     if style.lintel != "carved":
         return None
-    return ornament(rng, int(0.42 * texels_per_m), int((style.width_m + 0.2) * texels_per_m), style.trim_colour)
+    return ornament(
+        rng, int(0.42 * texels_per_m), int((style.width_m + 0.2) * texels_per_m), style.trim_colour
+    )
 
 
 def paste(canvas: Image, patch: Image, left: int, top: int) -> None:
     """Copy a patch (H, W, 3) onto a canvas, cut at its rim."""
     height, width = canvas.shape[:2]
-    x0, y0, x1, y1 = max(left, 0), max(top, 0), min(left + patch.shape[1], width), min(top + patch.shape[0], height)
+    x0, y0, x1, y1 = (
+        max(left, 0),
+        max(top, 0),
+        min(left + patch.shape[1], width),
+        min(top + patch.shape[0], height),
+    )
     if x0 < x1 and y0 < y1:
         canvas[y0:y1, x0:x1, :3] = patch[y0 - top : y1 - top, x0 - left : x1 - left]
 
 
-def _draw_shutters(rng: np.random.Generator, wall: Image, opening: tuple[int, int, int, int], style: WindowStyle) -> None:
+def _draw_shutters(
+    rng: np.random.Generator, wall: Image, opening: tuple[int, int, int, int], style: WindowStyle
+) -> None:
     """Draw louvred shutters left and right of an opening."""
     left, top, right, bottom = opening
     wide = max(4, (right - left) // 2)
@@ -214,6 +248,15 @@ def door(rng: np.random.Generator, height: int, width: int) -> Image:
     sign = max(6, height // 6)
     image[:sign] = (*jittered(rng, (150, 60, 50), 0.5), _SOLID)
     letters = "".join(chr(int(c)) for c in rng.integers(65, 91, size=max(3, width // sign)))
-    cv2.putText(image, letters, (3, int(0.8 * sign)), cv2.FONT_HERSHEY_DUPLEX, sign / 34, (240, 236, 220, _SOLID), max(1, sign // 12), cv2.LINE_AA)
+    cv2.putText(
+        image,
+        letters,
+        (3, int(0.8 * sign)),
+        cv2.FONT_HERSHEY_DUPLEX,
+        sign / 34,
+        (240, 236, 220, _SOLID),
+        max(1, sign // 12),
+        cv2.LINE_AA,
+    )
     cv2.rectangle(image, (0, 0), (width - 1, height - 1), (60, 56, 52, _SOLID), max(2, width // 40))
     return image

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 from epiprior_lab.datasets import Pair, read_pair_set
+from epiprior_lab.ground_truth import LabelSettings
 from epiprior_lab.parallel import Task, default_workers, map_tasks
 from epiprior_lab.params import load_params
 from epiprior_lab.rows import extract_rows, rows_to_bytes
 
 
-def extract(pair: Pair, preset: str) -> list[bytes]:
+def extract(pair: Pair, preset: str, labels: LabelSettings) -> list[bytes]:
     """Return the rows of one pair, one serialised table per roll hypothesis."""
-    return [rows_to_bytes(rows) for rows in extract_rows(pair, preset)]
+    return [rows_to_bytes(rows) for rows in extract_rows(pair, preset, labels)]
 
 
 def main() -> None:
@@ -22,6 +24,8 @@ def main() -> None:
     parser.add_argument("--preset", required=True, choices=("paper", "default"))
     preset = parser.parse_args().preset
     params = load_params()
+    truth = asdict(params.ground_truth)
+    labels = LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__})
     out = Path("data/features") / preset
     out.mkdir(parents=True, exist_ok=True)
     pairs = [
@@ -30,7 +34,7 @@ def main() -> None:
         for pair in read_pair_set(Path("data/scenes/train") / family).pairs
     ]
     tasks = [
-        Task(name=pair.pair_id, payload={"pair": pair, "preset": preset}, files=(pair.image1, pair.image2))
+        Task(name=pair.pair_id, payload={"pair": pair, "preset": preset, "labels": labels}, files=pair.files)
         for pair in pairs
     ]
     store = Path("data/.tasks/features") / preset

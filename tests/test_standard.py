@@ -2,7 +2,7 @@ import naive
 import numpy as np
 import pytest
 
-from epiprior.standard_matches import mutual_mask, nearest_neighbours, similarity_weights
+from epiprior.standard import mutual_mask, nearest_neighbours, similarity_weights
 
 
 def unit(rng, n, d=16):
