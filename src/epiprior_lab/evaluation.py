@@ -22,7 +22,7 @@ import pandas as pd
 
 from epiprior.errors import SettingsError
 from epiprior.estimate import estimate_from_matches
-from epiprior.features import FeatureSettings, load_photograph
+from epiprior.features import FeatureSettings, detect_features, load_photograph
 from epiprior.handover import HandOver
 from epiprior.preprocess import rank_matches, snn_matches, standard_matches
 from epiprior.types import FloatArray, MatchSet
@@ -119,19 +119,23 @@ def match_pair(pair: Pair, inputs: Sequence[str]) -> PairMatches:
     SettingsError
         If an input is unknown.
     """
+    unknown = [name for name in inputs if name not in INPUTS]
+    if unknown:
+        raise SettingsError(f"input is {unknown[0]!r}, known: {', '.join(INPUTS)}")
     sets: dict[str, tuple[MatchSet, ...]] = {}
+    settings = FeatureSettings()
+    photographs = [load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2)]
+    first, second = (detect_features(photograph, settings) for photograph in photographs)
     for name in inputs:
         if name == "standard":
             sets[name] = (standard_matches(pair.image1, pair.image2),)
         elif name == "snn":
             sets[name] = (snn_matches(pair.image1, pair.image2),)
-        elif name in PRESETS:
-            sets[name] = rank_matches(pair.image1, pair.image2, preset=name).sets
         else:
-            raise SettingsError(f"input is {name!r}, known: {', '.join(INPUTS)}")
-    limit = FeatureSettings().max_image_size
-    factors = load_photograph(pair.image1, limit).factor, load_photograph(pair.image2, limit).factor
-    return PairMatches(sets=sets, pixel_factors=factors)
+            # Presets differ in how descriptors are normalised, not in what is detected.
+            ranked = rank_matches(pair.image1, pair.image2, preset=name, features1=first, features2=second)
+            sets[name] = ranked.sets
+    return PairMatches(sets=sets, pixel_factors=(photographs[0].factor, photographs[1].factor))
 
 
 def estimate_row(

@@ -1,8 +1,9 @@
 """What is true of a pair: which matches are right, the fundamental matrix, and control points.
 
-Where a pair has depth maps, a match is right when each of its points reprojects onto the other and is visible there.
-Without depth, only the epipolar line of the true F can be checked ("epipolar" labels): 1 to 4 % of random matches
-satisfy it by chance. The true F comes from the cameras, else it is fitted to all control points.
+Where a pair has depth maps, a match is right when each of its points reprojects onto the other and is
+visible there. Without depth, only the epipolar line of the true F can be checked ("epipolar" labels): 1 to
+4 % of random matches satisfy it by chance. The true F comes from the cameras, else it is fitted to all
+control points.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ class LabelSettings:
     tolerance_px : float
         Reprojection error that is always allowed, pixels, > 0.
     tolerance_sigma : float
-        Reprojection error that is allowed as a multiple of the feature's sigma, >= 0: large features are located less
-        well.
+        Reprojection error that is allowed as a multiple of the feature's sigma, >= 0: large features are
+        located less well.
     depth_tolerance : float
         Relative difference of depth below which a point counts as visible, in (0, 1).
     epipolar_px : float
@@ -81,8 +82,9 @@ def label_matches(
     Returns
     -------
     ndarray, shape (N,), bool
-        With depth: True where both reprojections are within ``max(tolerance_px, tolerance_sigma * sigma)`` and the point
-        is visible in both images. Without depth: True where the Sampson distance to the true F is below `epipolar_px`.
+        With depth: True where both reprojections are within ``max(tolerance_px, tolerance_sigma * sigma)``
+        and the point is visible in both images. Without depth: True where the Sampson distance to the true
+        F is below `epipolar_px`.
 
     Raises
     ------
@@ -91,11 +93,9 @@ def label_matches(
     DatasetError
         If the pair's files are damaged, or nothing decides (see `reference_fundamental`).
 
-    Notes
-    -----
-    A feature at the rim of an object may lie on the background, beside what it describes. So the depth is read at the
-    feature and at four points around it (half a sigma away, 1 to 4 px), and any of them may confirm the match. Points at
-    infinity (sky) are never right.
+    Notes ----- A feature at the rim of an object may lie on the background, beside what it describes. So
+    the depth is read at the feature and at four points around it (half a sigma away, 1 to 4 px), and any of
+    them may confirm the match. Points at infinity (sky) are never right.
     """
     settings = settings or LabelSettings()
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
@@ -114,7 +114,7 @@ def _confirmed(
     scales: tuple[FloatArray, FloatArray],
     settings: LabelSettings,
 ) -> BoolArray:
-    """Return where a depth of the first image near ``x[0]`` leads to ``x[1]`` and to a depth that the second shows."""
+    """Return where a depth of the first image near ``x[0]`` leads to ``x[1]``, at a depth seen there."""
     tolerance = np.maximum(settings.tolerance_px, settings.tolerance_sigma * scales[1])
     seen = [depth_at(depths[1], x[1] + offset) for offset in _offsets(scales[1])]
     confirmed = np.zeros(len(x[0]), dtype=bool)
@@ -142,12 +142,11 @@ def reference_fundamental(pair: Pair) -> FloatArray:
     Raises
     ------
     DatasetError
-        If the cameras share their centre, or there are fewer than eight control points or they decide nothing.
+        If the cameras share their centre, or there are fewer than eight control points or they decide
+        nothing.
 
-    Notes
-    -----
-    The fit is the normalised eight-point algorithm, refined by reweighting to the Sampson distance. On a pair whose
-    control points lie on one plane it is one of many F that explain them.
+    Notes ----- The fit is the normalised eight-point algorithm, refined by reweighting to the Sampson
+    distance. On a pair whose control points lie on one plane it is one of many F that explain them.
     """
     F = pair.fundamental()
     if F is None and pair.camera1 is None:
@@ -178,7 +177,7 @@ def _fit(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
 
 
 def errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
-    """Return the Sampson distance of each control point to `F`, shape (N,), pixels; the paper's error is its mean."""
+    """Return the Sampson distance of each control point, shape (N,), pixels; the paper's error is its mean."""
     return sampson_distance(F, x1, x2)
 
 

@@ -9,10 +9,12 @@ import pytest
 import epiprior.preprocess
 from epiprior.errors import SettingsError
 from epiprior.estimate import estimate_from_matches
+from epiprior.features import FeatureSettings
 from epiprior.geometry import sampson_distance
 from epiprior.handover import HandOver, load_hand_overs
 from epiprior.models import load_model
 from epiprior.preprocess import rank_matches, snn_matches
+from epiprior.presets import find_preset
 from epiprior.types import MatchSet
 from epiprior_lab import evaluation, hand_over_search, rankings
 from epiprior_lab.datasets import Camera, Pair, read_pair_set
@@ -134,6 +136,22 @@ def test_rankings_roll_and_calibration_of_a_pair(pairs, hand_overs, tiny_model):
 def test_unknown_input_is_named(pairs):
     with pytest.raises(SettingsError, match="'lowe'"):
         evaluation.match_pair(pairs[0], ("lowe",))
+
+
+def test_shared_features_change_nothing(pairs, tiny_model):
+    got = evaluation.match_pair(pairs[0], ("standard", "default"))
+    wanted = rank_matches(pairs[0].image1, pairs[0].image2).sets
+    assert len(got.sets["default"]) == len(wanted)
+    for a, b in zip(got.sets["default"], wanted, strict=True):
+        np.testing.assert_array_equal(a.probability, b.probability)
+        np.testing.assert_array_equal(a.x2, b.x2)
+    assert got.pixel_factors == (1.0, 1.0)
+
+
+def test_presets_detect_the_same_features():
+    """Descriptors are normalised differently, but detection, which `match_pair` shares, is one."""
+    settings = [find_preset(name).features for name in evaluation.PRESETS]
+    assert {replace(s, root=True, centred=True) for s in settings} == {FeatureSettings()}
 
 
 def match_set(n):

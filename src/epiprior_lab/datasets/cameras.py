@@ -1,7 +1,7 @@
 """Pinhole cameras without distortion, and what follows from two of them.
 
-Conventions: world-to-camera ``X_camera = R X_world + t``, OpenCV axes (x right, y down, z forward), the centre of the
-top-left pixel at (0, 0); depth is z along the optical axis.
+Conventions: world-to-camera ``X_camera = R X_world + t``, OpenCV axes (x right, y down, z forward), the
+centre of the top-left pixel at (0, 0); depth is z along the optical axis.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class Camera:
     Raises
     ------
     CameraError
-        If a shape is another, a value is not finite, the focal length or size is not positive, or `R` is no rotation.
+        If a shape is another, a value is not finite, the focal length or size is not positive, or `R` is no
+        rotation.
     """
 
     K: FloatArray
@@ -67,15 +68,15 @@ class Camera:
     @property
     def centre(self) -> FloatArray:
         """Centre of projection in the world, shape (3,)."""
-        return -self.R.T @ self.t
+        return np.asarray(-self.R.T @ self.t)
 
     def back_project(self, x: FloatArray, depth: FloatArray) -> FloatArray:
-        """Return the world points, shape (N, 3), seen at pixels `x` (N, 2) at `depth` (N,) along the optical axis."""
+        """Return the world points (N, 3) seen at pixels `x` (N, 2), at `depth` (N,) along the optical axis."""
         rays = np.column_stack([x, np.ones(len(x))]) @ np.linalg.inv(self.K).T
         return (rays * depth[:, None] - self.t) @ self.R
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the pixels (N, 2) and depths (N,) of world points (N, 3); pixels are NaN at or behind the camera."""
+        """Return pixels (N, 2), NaN at or behind the camera, and depths (N,) of world points (N, 3)."""
         seen = points @ self.R.T + self.t
         depth = seen[:, 2]
         homogeneous = seen @ self.K.T

@@ -104,8 +104,8 @@ def read_control_points(path: Path) -> tuple[FloatArray, FloatArray]:
 def encode_depth(depth: Float32Array) -> bytes:
     """Return a depth map as the bytes of an ``.npz`` file with the key ``depth``.
 
-    Depths are rounded to 16 bits of mantissa (relative error below 1e-5, under a hundredth of a pixel when reprojected):
-    the file becomes about half as long.
+    Depths are rounded to 16 bits of mantissa: a relative error below 1e-5, under a hundredth of a pixel when
+    reprojected, and a file half as long.
     """
     bits = np.ascontiguousarray(depth, dtype=np.float32).view(np.uint32)
     dropped = 23 - _KEPT_MANTISSA_BITS

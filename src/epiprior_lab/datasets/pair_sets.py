@@ -70,13 +70,14 @@ class Pair:
         return read_control_points(self.control_points_path)
 
     def fundamental(self) -> FloatArray | None:
-        """Return F with ``x2' F x1 = 0`` from the cameras; None without cameras, or where they share their centre."""
+        """Return F with ``x2' F x1 = 0`` from the cameras; None without them, or where they share a centre."""
         if self.camera1 is None or self.camera2 is None:
             return None
         return fundamental_from_cameras(self.camera1, self.camera2)
 
     def depths(self) -> tuple[Float32Array, Float32Array] | None:
-        """Return both depth maps, shape (height, width), inf where nothing is seen; None where the set has none.
+        """Return both depth maps, shape (height, width), inf where nothing is seen; None where the set has
+        none.
 
         Raises
         ------
@@ -128,7 +129,8 @@ class PairSet:
 
 
 def read_pair_set(root: Path | str, control_points: Path | str | None = None) -> PairSet:
-    """Read and check a pair set; images, depth maps and control points themselves are read later, pair by pair.
+    """Read and check a pair set; images, depth maps and control points themselves are read later, pair by
+    pair.
 
     Parameters
     ----------
@@ -145,8 +147,8 @@ def read_pair_set(root: Path | str, control_points: Path | str | None = None) ->
     Raises
     ------
     DatasetError
-        If the folder is no pair set, an image, camera or required file is missing, a pair id is there twice, or a value
-        is wrong. The message names the file and line.
+        If the folder is no pair set, an image, camera or required file is missing, a pair id is there
+        twice, or a value is wrong. The message names the file and line.
     """
     root = Path(root)
     points_folder = root / "control_points" if control_points is None else Path(control_points)

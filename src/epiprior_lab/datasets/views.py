@@ -33,7 +33,7 @@ class ViewDifference:
 
 
 def depth_at(depth: Float32Array, x: FloatArray) -> FloatArray:
-    """Return the depth of the pixel nearest to each point, shape (N,); inf outside the image and where nothing is seen."""
+    """Return the depth at the pixel nearest to each point, shape (N,); inf outside and where nothing is."""
     height, width = depth.shape
     # Clipped before the conversion to integers, which is undefined for huge numbers and NaN.
     column, row = (
@@ -51,7 +51,7 @@ def covisible(
     *,
     step: int = 1,
     depth_tolerance: float = 0.02,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return what the first image sees, where it falls in the second, and whether it is visible there.
 
     Parameters

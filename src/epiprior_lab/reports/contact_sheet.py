@@ -19,7 +19,8 @@ _PANEL_INCHES = (3.6, 1.78)
 
 
 def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
-    """Draw the pairs of every family as one row (or more) of a figure, with what makes them easy or hard below each.
+    """Draw the pairs of every family as one row (or more) of a figure, with what makes them easy or hard
+    below each.
 
     Parameters
     ----------
@@ -53,8 +54,16 @@ def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
                 if k < len(pairs):
                     cell.imshow(_side_by_side(pairs[k]), interpolation="none")
                     cell.set_title(family if k == 0 else " ", fontsize=11, color=INK)
-                    cell.text(0.5, -0.03, _caption(pairs[k]), transform=cell.transAxes, ha="center", va="top",
-                              fontsize=8, color=MUTED)  # fmt: skip
+                    cell.text(
+                        0.5,
+                        -0.03,
+                        _caption(pairs[k]),
+                        transform=cell.transAxes,
+                        ha="center",
+                        va="top",
+                        fontsize=8,
+                        color=MUTED,
+                    )
             first += rows_of[family]
         _tighten(figure)
         return save(figure, path)

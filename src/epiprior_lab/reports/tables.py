@@ -135,24 +135,22 @@ def classifier_table(study: Study) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``preset, target, family, metric``, ``grouped`` and ``ungrouped`` (over all rows where the training
-        stage gives it, else the mean over folds), their deviations over folds ``grouped_sd`` and
-        ``ungrouped_sd``.
+        ``preset, target, family, metric``, then over all rows ``grouped``, ``ungrouped`` and ``calibrated``
+        (grouped, after calibration; NaN where nothing was calibrated), and deviations over folds
+        ``grouped_sd`` and ``ungrouped_sd`` (NaN where folds have no such metric).
     """
     table = study.classifiers.assign(fold=study.classifiers["fold"].astype(str))
-    grouped = table["grouped"].astype(str).str.lower().isin(["true", "1"])
-    table = table.assign(grouped=grouped)
+    table = table.assign(grouped=table["grouped"].astype(str).str.lower().isin(["true", "1"]))
     rows = []
-    for (preset, target, family, metric), part in table.groupby(
-        ["preset", "target", "family", "metric"], sort=False
-    ):
-        row = {"preset": preset, "target": target, "family": family, "metric": metric}
+    for key, part in table.groupby(["preset", "target", "family", "metric"], sort=False):
+        row: dict[str, Any] = dict(zip(("preset", "target", "family", "metric"), key, strict=True))
         for name, flag in (("grouped", True), ("ungrouped", False)):
-            values = part[part["grouped"] == flag]
-            folds = values[values["fold"].str.isdecimal()]["value"].dropna()
-            whole = values[~values["fold"].str.isdecimal()]["value"].dropna()
-            row[name] = float(whole.iloc[0] if len(whole) else folds.mean())
-            row[f"{name}_sd"] = float(folds.std(ddof=1)) if len(folds) > 1 else float("nan")
+            values = part[part["grouped"] == flag].set_index("fold")["value"]
+            folds = values[values.index.str.isdecimal()].dropna()
+            row[name] = float(values.get("all", np.nan))
+            row[f"{name}_sd"] = float(folds.std(ddof=1)) if len(folds) > 1 else np.nan
+            if flag:
+                row["calibrated"] = float(values.get("calibrated", np.nan))
         rows.append(row)
     return pd.DataFrame(rows)
 

@@ -1,4 +1,4 @@
-"""Two cameras that look at a subject: drawn, and kept only if geometry says that they see enough in common."""
+"""Two cameras that look at a subject: drawn, and kept if geometry says that they see enough in common."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def draw_camera_pair(
     width: int,
     height: int,
 ) -> CameraPair | None:
-    """Return the first of 40 drawn pairs whose angle, overlap and relief are within bounds; None if none is."""
+    """Return the first of 40 draws whose angle, overlap and relief are within bounds; None if none is."""
     for _ in range(_TRIES):
         camera1, camera2 = _draw(rng, subject, settings, width=width, height=height)
         small = _preview(camera1), _preview(camera2)

@@ -1,4 +1,4 @@
-"""What is found once on a wall: posters, signs, plaques, scrawls, patches of other plaster, vents, shadows."""
+"""What is found once on a wall: posters, signs, scrawls, patches of other plaster, stains, vents."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def poster(rng: np.random.Generator, height: int, width: int) -> Image:
     image[:] = jittered(rng, (206, 196, 176), 0.3)
     margin = max(2, min(height, width) // 18)
     bottom = int(height * rng.uniform(0.6, 0.95)) - margin
-    paste(image, crop(rng, bottom - margin, width - 2 * margin, PICTURES), margin, margin)
+    picture = crop(rng, max(1, bottom - margin), max(1, width - 2 * margin), PICTURES)
+    paste(image, picture, margin, margin)
     ink = tuple(int(c) for c in rng.integers(10, 90, size=3))
     size = max(0.3, width / 260)
     for y in range(bottom + int(22 * size), height - margin, max(4, int(26 * size))):

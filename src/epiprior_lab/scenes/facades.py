@@ -55,7 +55,7 @@ class HouseStyle:
 def house_style(
     rng: np.random.Generator, *, distinct: float, variety: float, texels_per_m: float
 ) -> HouseStyle:
-    """Draw a house; `distinct` walls and `variety` of windows in [0, 1] make places easier to tell apart."""
+    """Draw a house; `distinct` walls and `variety` of windows, in [0, 1], help to tell places apart."""
     walls = wall_style(rng, distinct=distinct)
     window = window_style(rng, walls.colour, variety=variety)
     gap = (1.1 if window.shutters else 0.45) * window.width_m
@@ -75,7 +75,7 @@ def house_style(
 def add_house(
     world: WorldBuilder, rng: np.random.Generator, frame: Frame, style: HouseStyle, *, width: float, height: float, depth: float,
     blind_back: bool = True,
-) -> None:  # fmt: skip
+) -> None:
     """Add a house whose front stands on `frame`: front, both sides, back, and a roof."""
     add_facade(world, rng, frame, style, width=width, height=height)
     simple = replace(style, details=style.details / 2, texels_per_m=0.6 * style.texels_per_m)
@@ -91,7 +91,7 @@ def add_house(
 def add_facade(
     world: WorldBuilder, rng: np.random.Generator, frame: Frame, style: HouseStyle, *, width: float, height: float,
     doors: bool = True,
-) -> None:  # fmt: skip
+) -> None:
     """Add one wall with everything on it."""
     scale = style.texels_per_m
     rows, columns = max(8, int(height * scale)), max(8, int(width * scale))
@@ -130,7 +130,7 @@ def _texels(opening: Opening, height: float, scale: float) -> tuple[int, int, in
 def _openings(
     rng: np.random.Generator, style: HouseStyle, *, width: float, height: float, doors: bool
 ) -> tuple[list[Opening], list[Opening]]:
-    """Return windows and entrances (a0, b0, a1, b1): a grid, with gaps and with doors and shops at its foot."""
+    """Return windows and entrances (a0, b0, a1, b1): a grid with gaps, doors and shops at its foot."""
     window = style.window
     bays, storeys = int((width - 0.4) // style.bay_m), max(1, int((height - 0.5) // style.storey_m))
     margin = 0.5 * (width - bays * style.bay_m)
@@ -171,12 +171,12 @@ def _stone(rng: np.random.Generator, colour: Colour) -> Image:
 def _add_relief(
     world: WorldBuilder, rng: np.random.Generator, frame: Frame, style: HouseStyle, windows: list[Opening], stone: int,
     *, width: float, height: float,
-) -> None:  # fmt: skip
+) -> None:
     """Add what stands out from the wall: sills, balconies, flower boxes, coolers, cornices, pipes, signs."""
     rail = world.texture(_railing(rng, style))
     plants = world.texture(foliage(rng, 96))
     metal = world.texture(_stone(rng, jittered(rng, (150, 152, 154), 0.25)))
-    for a0, b0, a1, b1 in windows:
+    for a0, b0, a1, _ in windows:
         box(world, frame, (a0 - 0.12, a1 + 0.12), (b0 - 0.09, b0), (0.0, 0.13), stone)
         chance = rng.random()
         if b0 > style.storey_m and chance < style.balconies:

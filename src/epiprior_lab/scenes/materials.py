@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import cv2
@@ -17,8 +18,9 @@ MASONRY: tuple[Masonry, ...] = ("brick", "ashlar", "plaster", "tiles", "planks",
 Colour = tuple[float, float, float]
 
 WALL_COLOURS: tuple[Colour, ...] = (
-    (190, 176, 152), (156, 96, 76), (140, 82, 66), (182, 182, 176), (206, 194, 158), (190, 152, 130), (220, 216, 206),
-    (146, 138, 122), (164, 152, 132), (120, 124, 128), (182, 160, 130), (126, 102, 86), (178, 186, 180), (204, 188, 172),
+    (190, 176, 152), (156, 96, 76), (140, 82, 66), (182, 182, 176), (206, 194, 158), (190, 152, 130),
+    (220, 216, 206), (146, 138, 122), (164, 152, 132), (120, 124, 128), (182, 160, 130), (126, 102, 86),
+    (178, 186, 180), (204, 188, 172),
 )  # fmt: skip
 ROOF_COLOURS: tuple[Colour, ...] = ((138, 70, 52), (92, 90, 94), (116, 64, 52), (74, 78, 88), (150, 96, 72))
 
@@ -83,9 +85,9 @@ def wall_style(rng: np.random.Generator, *, distinct: float) -> WallStyle:
 
 
 def courses(
-    rng: np.random.Generator, height: int, width: int, *, course_px: float, stone_px: float, tones: float, joints: float,
-    regular: bool = True,
-) -> Float32Array:  # fmt: skip
+    rng: np.random.Generator, height: int, width: int, *, course_px: float, stone_px: float, tones: float,
+    joints: float, regular: bool = True,
+) -> Float32Array:
     """Return rows of stones with joints, shape (height, width), as deviations from brightness 1.
 
     Stones are in bond when `regular`, else of random width and every row on its own.
@@ -95,7 +97,7 @@ def courses(
     joint = max(1, round(0.07 * course_px))
     columns = np.arange(width)
     count = int(width / stone_px) + 4
-    for row, (top, bottom) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for row, (top, bottom) in enumerate(pairwise(edges.tolist())):
         widths = np.full(count, stone_px) if regular else stone_px * rng.uniform(0.5, 1.5, size=2 * count)
         shift = (0.5 * (row % 2) if regular else rng.random()) * stone_px
         borders = np.cumsum(widths) - shift
@@ -123,10 +125,10 @@ def wall(
     if style.masonry in _COURSES:
         _, _, tones, joints = _COURSES[style.masonry]
         relief += courses(
-            rng, height, width,
-            course_px=max(3.0, style.course_m * texels_per_m), stone_px=max(5.0, style.stone_m * texels_per_m),
-            tones=tones, joints=joints, regular=style.masonry in ("brick", "tiles", "ashlar"),
-        )  # fmt: skip
+            rng, height, width, course_px=max(3.0, style.course_m * texels_per_m), stone_px=max(5.0,
+            style.stone_m * texels_per_m), tones=tones, joints=joints, regular=style.masonry in ("brick",
+            "tiles", "ashlar"),
+        )
     elif rng.random() < 0.7:
         _add_cracks(rng, relief, count=int(rng.integers(3, 12)))
     mixture = np.clip(0.5 + 0.35 * stains, 0.0, 1.0)
@@ -153,7 +155,7 @@ def roof(rng: np.random.Generator, height: int, width: int, *, texels_per_m: flo
         rng, height, width,
         course_px=rng.uniform(0.2, 0.35) * texels_per_m, stone_px=rng.uniform(0.2, 0.35) * texels_per_m,
         tones=0.08, joints=0.25,
-    )  # fmt: skip
+    )
     relief += 0.08 * noise(rng, height, width, "middle") + 0.04 * noise(rng, height, width, "fine")
     return tinted(colour, relief, (90, 96, 70), np.clip(0.25 * noise(rng, height, width, "coarse"), 0, 1))
 
@@ -176,7 +178,7 @@ def pavement(rng: np.random.Generator, height: int, width: int, *, texels_per_m:
         relief += courses(
             rng, height, width, course_px=side, stone_px=side * rng.uniform(1.0, 1.6), tones=0.08, joints=0.3,
             regular=bool(rng.random() < 0.6),
-        )  # fmt: skip
+        )
     zoom = float(rng.uniform(0.2, 0.35) if kind == "asphalt" else rng.uniform(0.3, 0.6))
     relief += (0.12 if kind == "gravel" else 0.04) * surface(rng, height, width, ("gravel",), zoom=zoom)
     return tinted(grey, relief)

@@ -15,7 +15,7 @@ _TEXELS_PER_M = 48.0
 
 
 def draw_open_scene(rng: np.random.Generator, settings: FamilySettings) -> tuple[World, Subject]:
-    """Draw a place about 25 m wide: houses behind, single things before them down to a few metres from the viewer."""
+    """Draw a place about 25 m wide: houses behind, single things before them, some close to the viewer."""
     world = begin_world(rng)
     across = -16.0
     while across < 14.0:

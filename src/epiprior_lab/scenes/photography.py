@@ -63,7 +63,7 @@ def take(image: Image, photograph: Photograph, rng: np.random.Generator) -> Imag
     light = tones[:, None] * gain * np.array(photograph.balance)
     # A soft shoulder instead of clipping: skies keep their tone.
     light = np.where(light > 220, 220 + 35 * (1 - np.exp(-(light - 220) / 35)), light)
-    exposed = cv2.LUT(image, light.astype(np.float32)[:, None, :].reshape(256, 1, 3))
+    exposed: Float32Array = np.asarray(cv2.LUT(image, light.astype(np.float32)[:, None, :].reshape(256, 1, 3))
     y, x = (
         np.linspace(-1, 1, height, dtype=np.float32)[:, None],
         np.linspace(-1, 1, width, dtype=np.float32)[None],

@@ -1,16 +1,20 @@
 """Compiled drawing of a world: nearest face per sample, then one filtered texture look-up per pixel and face.
 
-A face with corner O and edges A, B (camera coordinates) is seen through ``M = K [A B O]``: for a pixel p = (x, y, 1),
-``inv(M) p = (s, t, 1) / z``. So inverse depth is the third row of inv(M) times p, exactly, and (s, t) is the place on
-the face. All of these are linear along a row of the image.
+A face with corner O and edges A, B (camera coordinates) is seen through ``M = K [A B O]``: for a pixel p =
+(x, y, 1), ``inv(M) p = (s, t, 1) / z``. So inverse depth is the third row of inv(M) times p, exactly, and (s, t)
+is the place on the face. All of these are linear along a row of the image.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
+from epiprior.types import Float32Array, FloatArray, IntArray
 
 _OPAQUE = 128
 _MAX_PROBES = 4.0
@@ -18,21 +22,59 @@ _SHADOW_OFFSET_M = 0.08
 _SHADOW_BIAS_M = 0.02
 
 
-@numba.njit(cache=True, nogil=True)
-def nearest_faces(
-    inverse, bounds, triangle, cut_out, frame, texture, levels, texels, samples, inverse_depth, face
-):  # type: ignore[no-untyped-def]
-    """Write the inverse depth and the number of the nearest face of each sample; both arrays come in as 0 and -1.
+class Faces(NamedTuple):
+    """Faces as one camera sees them; N of them, near ones first for speed.
 
-    `samples` per pixel and axis; `bounds` are pixels (left, top, right, bottom) outside which a face is not seen.
+    `inverse` (N, 3, 3) is inv(M); `bounds` (N, 4) are pixels (left, top, right, bottom) outside which a face is not
+    seen; `light` (N, 2) is brightness in the shade, and what the sun adds; the others are as in `World`.
+    """
+
+    inverse: FloatArray
+    bounds: FloatArray
+    frame: FloatArray
+    texture: IntArray
+    triangle: IntArray
+    cut_out: IntArray
+    mirror: FloatArray
+    normal: FloatArray
+    light: FloatArray
+
+
+class Textures(NamedTuple):
+    """Texels of all textures at all sizes, and where each begins; as in `World`."""
+
+    levels: IntArray
+    texels: NDArray[np.uint8]
+
+
+class Place(NamedTuple):
+    """What is the same for all faces: camera, surroundings, sun.
+
+    `to_world` (3, 3) maps a pixel (x, y, 1) to its ray, which starts at `eye` (3,); `sun_projection` (3, 4) maps
+    world points to pixels of `sun_depth`, which holds how far the sun sees.
+    """
+
+    to_world: FloatArray
+    eye: FloatArray
+    surroundings: NDArray[np.uint8]
+    sun_projection: FloatArray
+    sun_depth: Float32Array
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_faces(faces, textures, samples, inverse_depth, number):  # type: ignore[no-untyped-def]
+    """Write the inverse depth and the number of the nearest face of each sample; they come in as 0 and -1.
+
+    `samples` per pixel and axis.
     """
     rows, columns = inverse_depth.shape
-    for k in range(len(inverse)):
-        M = inverse[k]
-        left = max(0, math.floor((bounds[k, 0] + 0.5) * samples - 0.5))
-        right = min(columns - 1, math.ceil((bounds[k, 2] + 0.5) * samples - 0.5))
-        top = max(0, math.floor((bounds[k, 1] + 0.5) * samples - 0.5))
-        bottom = min(rows - 1, math.ceil((bounds[k, 3] + 0.5) * samples - 0.5))
+    for k in range(len(faces.inverse)):
+        M, frame = faces.inverse[k], faces.frame[k]
+        levels = textures.levels[faces.texture[k]]
+        left = max(0, math.floor((faces.bounds[k, 0] + 0.5) * samples - 0.5))
+        right = min(columns - 1, math.ceil((faces.bounds[k, 2] + 0.5) * samples - 0.5))
+        top = max(0, math.floor((faces.bounds[k, 1] + 0.5) * samples - 0.5))
+        bottom = min(rows - 1, math.ceil((faces.bounds[k, 3] + 0.5) * samples - 0.5))
         # Per sample instead of per pixel along the row.
         ds, dt, dw = M[0, 0] / samples, M[1, 0] / samples, M[2, 0] / samples
         for i in range(top, bottom + 1):
@@ -43,7 +85,7 @@ def nearest_faces(
             first, last = _span(s0, ds, float(left), float(right))
             first, last = _span(t0, dt, first, last)
             first, last = _span(w0, dw, first, last)
-            if triangle[k] == 1:
+            if faces.triangle[k] == 1:
                 first, last = _span(w0 - s0 - t0, dw - ds - dt, first, last)
             else:
                 first, last = _span(w0 - s0, dw - ds, first, last)
@@ -51,28 +93,28 @@ def nearest_faces(
             if first > last:
                 continue
             start, end = math.ceil(first), math.floor(last)
-            if cut_out[k] == 0:
+            if faces.cut_out[k] == 0:
                 for j in range(start, end + 1):
                     w = w0 + dw * j
                     if w > inverse_depth[i, j]:
                         inverse_depth[i, j] = w
-                        face[i, j] = k
+                        number[i, j] = k
                 continue
             j = 0.5 * (first + last)
-            _, _, ux, vx, uy, vy = _texture_place(M, frame[k], s0 + ds * j, t0 + dt * j, w0 + dw * j, samples)
-            level, _, _, _ = _level_of(levels[texture[k]], ux, vx, uy, vy)
-            offset, width, height = levels[texture[k], level]
+            _, _, ux, vx, uy, vy = _texture_place(M, frame, (s0 + ds * j, t0 + dt * j, w0 + dw * j), samples)
+            level, _, _, _ = _level_of(levels, ux, vx, uy, vy)
+            offset, width, height = levels[level]
             for j in range(start, end + 1):
                 w = w0 + dw * j
                 if w <= inverse_depth[i, j]:
                     continue
                 f, g = (s0 + ds * j) / w, (t0 + dt * j) / w
-                u = frame[k, 0, 0] + f * frame[k, 1, 0] + g * frame[k, 2, 0]
-                v = frame[k, 0, 1] + f * frame[k, 1, 1] + g * frame[k, 2, 1]
+                u = frame[0, 0] + f * frame[1, 0] + g * frame[2, 0]
+                v = frame[0, 1] + f * frame[1, 1] + g * frame[2, 1]
                 column, row = int((u - math.floor(u)) * width), int((v - math.floor(v)) * height)
-                if texels[offset + min(row, height - 1) * width + min(column, width - 1), 3] >= _OPAQUE:
+                if textures.texels[offset + min(row, height - 1) * width + min(column, width - 1), 3] >= _OPAQUE:
                     inverse_depth[i, j] = w
-                    face[i, j] = k
+                    number[i, j] = k
 
 
 @numba.njit(cache=True, nogil=True)
@@ -86,8 +128,9 @@ def _span(value, slope, first, last):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _texture_place(M, frame, s, t, w, samples):  # type: ignore[no-untyped-def]
-    """Return texture coordinates and their derivatives per sample along x and y; (s, t, w) is inv(M) p."""
+def _texture_place(M, frame, place, samples):  # type: ignore[no-untyped-def]
+    """Return texture coordinates and their derivatives per sample along x and y; `place` is inv(M) p."""
+    s, t, w = place
     f, g = s / w, t / w
     u = frame[0, 0] + f * frame[1, 0] + g * frame[2, 0]
     v = frame[0, 1] + f * frame[1, 1] + g * frame[2, 1]
@@ -269,7 +312,8 @@ def paint(
 ):  # type: ignore[no-untyped-def]
     """Write the colour of each pixel: the mean over its samples, each face looked up once.
 
-    `to_world` maps a pixel (x, y, 1) to its ray in the world, which starts at `eye`; `face` holds `samples` x `samples` numbers per pixel.
+    `to_world` maps a pixel (x, y, 1) to its ray in the world, which starts at `eye`; `face` holds `samples`
+    x `samples` numbers per pixel.
     """
     rows, columns = image.shape[:2]
     found, count = np.empty(samples * samples, dtype=np.int64), np.empty(samples * samples, dtype=np.int64)
@@ -296,9 +340,9 @@ def paint(
                     dr, dg, db = _surroundings_at(surroundings, rx, ry, rz)
                 else:
                     dr, dg, db = _face_colour(
-                        inverse[k], frame[k], levels[texture[k]], texels, light[k], mirror[k], normal[k], surroundings,
-                        shadow_projection, shadow_depth, eye, x, y, rx, ry, rz,
-                    )  # fmt: skip
+                        inverse[k], frame[k], levels[texture[k]], texels, light[k], mirror[k], normal[k],
+                        surroundings, shadow_projection, shadow_depth, eye, x, y, rx, ry, rz,
+                    )
                 part = count[position] / (samples * samples)
                 r, g, b = r + part * dr, g + part * dg, b + part * db
             image[y, x, 0] = np.uint8(min(max(r + 0.5, 0.0), 255.0))

@@ -19,13 +19,13 @@ _NEAR = 0.05
 class _Seen(NamedTuple):
     """The faces of a world that a camera may see."""
 
-    index: IntArray
+    faces: IntArray
     inverse: FloatArray
     bounds: FloatArray
 
 
 def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Float32Array:
-    """Return the depth of the nearest face at each pixel's centre, shape (height, width); inf where there is none."""
+    """Return the depth of the nearest face at each pixel's centre, (height, width); inf where there is none."""
     inverse_depth, _ = _nearest(world, camera, _seen(world, camera, view), 1)
     with np.errstate(divide="ignore"):
         return (1.0 / inverse_depth).astype(np.float32)
@@ -105,7 +105,7 @@ def _nearest(
 
 
 def _seen(world: World, camera: Camera, view: int) -> _Seen:
-    """Return the faces before the camera, the maps from pixels to places on them, and where they fall in the image."""
+    """Return the faces in view, the maps from pixels to places on them, and where they fall in the image."""
     corner = world.corner @ camera.R.T + camera.t
     across, down = world.across @ camera.R.T, world.down @ camera.R.T
     last = np.where(world.triangle[:, None] == 1, corner + down, corner + across + down)

@@ -1,4 +1,4 @@
-"""What the four families of scenes are: the paper's data sets in the small (ZuBuD2; ZuBuD1 and Urban; Open; BLOGS)."""
+"""The four families of scenes, after the data sets of the paper: ZuBuD2; ZuBuD1 and Urban; Open; BLOGS."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class FamilySettings:
     roll_deg : tuple of float
         Rotation of the second camera about its axis, either way, degrees.
     relief : float
-        Least part of what both images see that lies off the front's plane, in [0, 1]: on one plane no F is decided.
+        Least part of what both images see that lies off the front's plane, in [0, 1]: on one plane no F is
+        decided.
     passing : tuple of float
         Things that stand in one image only, for each image.
     relit : float

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from epiprior_lab.scenes.camera_pairs import Subject
@@ -78,7 +80,7 @@ def draw_street(rng: np.random.Generator, settings: FamilySettings) -> tuple[Wor
     borders = np.concatenate([[0.0], np.sort(rng.uniform(0.25, 0.75, size=parts - 1)), [1.0]]) * width
     if parts > 1 and np.diff(borders).min() < 3.0:
         borders = np.linspace(0.0, width, parts + 1)
-    for k, (left, right) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
+    for k, (left, right) in enumerate(pairwise(borders.tolist())):
         forward = float(rng.uniform(0.4, 1.4)) if k % 2 == 1 or (parts == 2 and rng.random() < 0.5) else 0.0
         part = Frame(frame.point(left, 0.0, forward), frame.right, frame.outward)
         add_facade(world, rng, part, style, width=right - left, height=height)

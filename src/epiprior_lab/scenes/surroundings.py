@@ -12,7 +12,7 @@ _ROWS, _COLUMNS = 512, 1024
 
 
 def draw_surroundings(rng: np.random.Generator) -> Image:
-    """Return a picture of all directions, shape (512, 1024, 3): zenith in the first row, the horizon in the middle."""
+    """Return a picture of all directions, (512, 1024, 3): zenith in the first row, horizon in the middle."""
     half = _ROWS // 2
     zenith = np.array(
         ((92, 130, 186), (150, 160, 172), (118, 148, 190))[int(rng.integers(3))], dtype=np.float32
@@ -32,7 +32,7 @@ def draw_surroundings(rng: np.random.Generator) -> Image:
 def _skyline(rng: np.random.Generator, band: np.ndarray) -> np.ndarray:
     """Draw the other side of the street, blurred: it is seen only as a reflection or behind everything."""
     height, width = band.shape[:2]
-    out = band.copy()
+    out = np.array(band, dtype=np.float32)
     x = 0
     while x < width:
         wide, high = int(rng.integers(20, 80)), int(rng.integers(12, height - 8))

@@ -1,4 +1,4 @@
-"""Raw material of textures: photographs that scikit-image and scikit-learn carry, and noise as nature has it."""
+"""Raw material of textures: photographs that scikit-image and scikit-learn carry, and natural noise."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def photograph(name: str) -> Image:
 
 @functools.cache
 def _noise_field(grain: Grain) -> Float32Array:
-    """Return a periodic random field of mean 0 and deviation 1 whose amplitude falls with frequency to the exponent."""
+    """Return a periodic random field, mean 0 and deviation 1; amplitude falls with a power of frequency."""
     rng = np.random.default_rng(list(_EXPONENT).index(grain))
     white = rng.standard_normal((_FIELD_SIDE, _FIELD_SIDE), dtype=np.float32)
     spectrum = fft.rfft2(white)
@@ -83,7 +83,7 @@ def _noise_field(grain: Grain) -> Float32Array:
 
 
 def noise(rng: np.random.Generator, height: int, width: int, grain: Grain) -> Float32Array:
-    """Return a random window, shape (height, width), of a noise field of mean 0 and deviation 1; maybe mirrored."""
+    """Return a random window (height, width) of a noise field of mean 0 and deviation 1; maybe mirrored."""
     field = _noise_field(grain)
     top, left = rng.integers(_FIELD_SIDE, size=2)
     rows, columns = np.arange(top, top + height) % _FIELD_SIDE, np.arange(left, left + width) % _FIELD_SIDE
@@ -132,7 +132,8 @@ def crop(
 def surface(
     rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, zoom: float
 ) -> Float32Array:
-    """Return the brightness of a photograph, tiled by mirroring, shape (height, width), mean 0 and deviation 1.
+    """Return the brightness of a photograph, tiled by mirroring, shape (height, width), mean 0 and
+    deviation 1.
 
     `zoom` texels per pixel of the photograph.
     """
@@ -154,9 +155,13 @@ def _mirrored(index: np.ndarray, length: int) -> np.ndarray:
     return np.where(folded < length, folded, 2 * length - 1 - folded)
 
 
-def tinted(base: tuple[float, float, float], relief: Float32Array, second: tuple[float, float, float] | None = None,
-           mixture: Float32Array | None = None) -> Image:  # fmt: skip
-    """Return an RGB image of one colour, times ``1 + relief``; `mixture` in [0, 1] leads over to a second colour."""
+def tinted(
+    base: tuple[float, float, float],
+    relief: Float32Array,
+    second: tuple[float, float, float] | None = None,
+    mixture: Float32Array | None = None,
+) -> Image:
+    """Return an RGB image of one colour times ``1 + relief``; `mixture` in [0, 1] leads to a second colour."""
     factor = 1.0 + relief
     channels = []
     for channel in range(3):

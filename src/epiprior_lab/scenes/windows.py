@@ -1,4 +1,4 @@
-"""Windows, doors and shop fronts: frames that repeat exactly, and what differs from one window to the next."""
+"""Windows, doors and shop fronts: frames that repeat, and what differs from one window to the next."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def window_style(rng: np.random.Generator, wall_colour: Colour, *, variety: floa
 
 
 def draw_panes(rng: np.random.Generator, area: Image, style: WindowStyle, *, texels_per_m: float) -> None:
-    """Draw a window into an area (H, W, 4): the room behind, curtains, blind, frame; glass is marked by its opacity."""
+    """Draw a window into an area (H, W, 4): room, curtains, blind, frame; opacity tells glass from solid."""
     height, width = area.shape[:2]
     dark = rng.uniform(24, 52) + style.variety * rng.uniform(-14, 30)
     shade = np.linspace(1.3, 0.7, height, dtype=np.float32)[:, None, None]
@@ -132,9 +132,9 @@ def _draw_curtains(rng: np.random.Generator, area: Image, style: WindowStyle) ->
 
 
 def draw_trim(
-    rng: np.random.Generator, wall: Image, opening: tuple[int, int, int, int], style: WindowStyle, carving: Image | None,
-    *, texels_per_m: float,
-) -> None:  # fmt: skip
+    rng: np.random.Generator, wall: Image, opening: tuple[int, int, int, int], style: WindowStyle, carving:
+    Image | None, *, texels_per_m: float,
+) -> None:
     """Draw the stone around an opening (left, top, right, bottom) on a wall (H, W, 4), shutters, and dirt below."""
     left, top, right, bottom = opening
     band = max(3, round(0.14 * texels_per_m))

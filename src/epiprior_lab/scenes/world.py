@@ -1,6 +1,7 @@
 """A world of textured flat faces: parallelograms and triangles.
 
-Units are metres; x points right, y down, z away from a viewer who stands before a facade; the ground is near y = 0.
+Units are metres; x points right, y down, z away from a viewer who stands before a facade; the ground is
+near y = 0.
 """
 
 from __future__ import annotations
@@ -35,13 +36,15 @@ class World:
     texture : ndarray, shape (N,), int64
         Texture of each face.
     triangle, cut_out, views : ndarray, shape (N,), int64
-        1 where the face is a triangle; 1 where transparent texels are holes; bit set of the views that show it.
+        1 where the face is a triangle; 1 where transparent texels are holes; bit set of the views that show
+        it.
     brightness, mirror : ndarray, shape (N,), float64
         Factor on top of the light; how much of the surroundings a glass texel reflects.
     levels : ndarray, shape (T, MAX_LEVELS, 3), int64
         First texel, width and height of each texture's image at each halving of its size.
     texels : ndarray, shape (M, 4), uint8
-        All textures at all sizes: red, green, blue, opacity (below 128: a hole; 128 to 255: from glass to solid).
+        All textures at all sizes: red, green, blue, opacity (below 128: a hole; 128 to 255: from glass to
+        solid).
     surroundings : ndarray, shape (H, W, 3), uint8
         What is infinitely far: sky and skyline, by elevation (rows, zenith first) and azimuth (columns).
     """
@@ -159,11 +162,12 @@ class WorldBuilder:
 def _halvings(image: Image) -> list[Image]:
     """Return an image with opacity, and its copies at 1/2, 1/4, ... of the size."""
     if image.shape[2] == 3:
-        image = cv2.cvtColor(image, cv2.COLOR_RGB2RGBA)
+        image = np.dstack([image, np.full(image.shape[:2], 255, dtype=np.uint8)])
     images = [np.ascontiguousarray(image)]
     while len(images) < MAX_LEVELS and min(images[-1].shape[:2]) >= 2 * _MIN_LEVEL_SIDE:
         height, width = images[-1].shape[:2]
-        images.append(cv2.resize(images[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+        half = cv2.resize(images[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+        images.append(np.asarray(half, dtype=np.uint8))
     return images
 
 
@@ -185,33 +189,34 @@ class Frame:
 
     @classmethod
     def facing(cls, foot: Vector, azimuth_deg: float) -> Frame:
-        """Return the frame of a wall that faces the viewer (-z) at azimuth 0, and is turned to its left with more."""
+        """Return the frame of a wall that faces the viewer (-z) at azimuth 0, and is turned with more."""
         angle = np.deg2rad(azimuth_deg)
         right = np.array([np.cos(angle), 0.0, np.sin(angle)])
         return cls(np.asarray(foot, dtype=np.float64), right, np.array([np.sin(angle), 0.0, -np.cos(angle)]))
 
     def point(self, a: float, b: float, c: float = 0.0) -> FloatArray:
         """Return the world position of (a, b, c)."""
-        return self.foot + a * self.right + c * self.outward - np.array([0.0, b, 0.0])
+        return np.asarray(self.foot + a * self.right + c * self.outward - np.array([0.0, b, 0.0]))
 
     def side(self, a: float, c: float = 0.0) -> Frame:
-        """Return the frame of the wall that starts at (a, 0, c) and goes back from there: the right side of a house."""
+        """Return the frame of the wall that goes back from (a, 0, c): the right side of a house."""
         return Frame(self.point(a, 0.0, c), -self.outward, self.right)
 
 
 def upright(
     world: WorldBuilder, frame: Frame, a: tuple[float, float], b: tuple[float, float], c: float, texture: int,
     *, area: tuple[float, float, float, float] = WHOLE, mirror: float = 0.0, views: int = BOTH_VIEWS,
-) -> None:  # fmt: skip
-    """Add an upright rectangle that faces the viewer of `frame`: from a[0] to a[1], from b[0] up to b[1], at depth c."""
+) -> None:
+    """Add an upright rectangle that faces the viewer of `frame`: a[0] to a[1], b[0] up to b[1], at c."""
     across, down = frame.right * (a[1] - a[0]), np.array([0.0, b[1] - b[0], 0.0])
     world.face(frame.point(a[0], b[1], c), across, down, texture, area=area, mirror=mirror, views=views)
 
 
 def box(
-    world: WorldBuilder, frame: Frame, a: tuple[float, float], b: tuple[float, float], c: tuple[float, float],
-    textures: int | tuple[int, int, int], *, area: tuple[float, float, float, float] = WHOLE, views: int = BOTH_VIEWS,
-) -> None:  # fmt: skip
+    world: WorldBuilder, frame: Frame, a: tuple[float, float], b: tuple[float, float], c: tuple[float,
+    float], textures: int | tuple[int, int, int], *, area: tuple[float, float, float, float] = WHOLE, views:
+    int = BOTH_VIEWS,
+) -> None:
     """Add a box: textures of front and back, of the sides, and of top and bottom."""
     front, sides, top = (textures,) * 3 if isinstance(textures, int) else textures
     upright(world, frame, a, b, c[1], front, area=area, views=views)
