@@ -1,4 +1,4 @@
-"""Rows of made-up pairs for tests of the training: every scene has its own level, which leaks if it is split."""
+"""Rows of made-up pairs for tests of the training: every scene has its own level, which leaks if split."""
 
 from __future__ import annotations
 

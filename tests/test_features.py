@@ -110,7 +110,9 @@ def test_colour_arrays_and_files_agree(tmp_path):
 def test_every_front_end(detector):
     if detector == "colmap-sift":
         pytest.importorskip("pycolmap")
-    found = ft.detect_features(ft.load_photograph(textured(4)), ft.FeatureSettings(detector=detector, max_keypoints=200))
+    found = ft.detect_features(
+        ft.load_photograph(textured(4)), ft.FeatureSettings(detector=detector, max_keypoints=200)
+    )
     assert 10 < len(found) <= 300
     assert found.descriptors.shape == (len(found), 128)
     assert (found.scale > 0).all()
@@ -189,9 +191,7 @@ def test_bad_features_are_named(field, value, message):
         Features(**{**good, field: value})
 
 
-@pytest.mark.parametrize(
-    "bad", [{"detector": "magic"}, {"max_image_size": 3}, {"max_keypoints": 1}]
-)
+@pytest.mark.parametrize("bad", [{"detector": "magic"}, {"max_image_size": 3}, {"max_keypoints": 1}])
 def test_bad_settings_are_named(bad):
     with pytest.raises(SettingsError, match=next(iter(bad))):
         ft.FeatureSettings(**bad)

@@ -5,17 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pictures import relief_pair, texture
-from test_features import rotated
-from tiny_model import make_model
 
 import epiprior
-from epiprior import preprocess
+from epiprior import hypothesis, pair
 from epiprior.errors import FeatureError, ImageError, SettingsError
 from epiprior.features import FeatureSettings, detect_features, load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.models import load_model
 from epiprior.presets import DEFAULT, PAPER
+from pictures import relief_pair, texture
+from test_features import rotated
+from tiny_model import make_model
 
 ROWS_CORRESPOND = np.array([[0, 0, 0], [0, 0, 1], [0, -1, 0]], float)
 
@@ -87,11 +87,11 @@ def test_a_turned_image_is_matched_under_its_roll(model, angle_deg):
 
 
 def test_paper_preset_runs_both_hypotheses_always():
-    prepared = preprocess.prepare_pair(*relief_pair(), PAPER)
-    rolls = preprocess.roll_hypotheses(prepared, PAPER)
+    prepared = pair.prepare_pair(*relief_pair(), PAPER)
+    rolls = pair.roll_hypotheses(prepared, PAPER)
     assert len(rolls) == 2
     assert rolls[1] == 0
-    found = preprocess.find_candidates(prepared, 0.0, PAPER)
+    found = hypothesis.find_candidates(prepared, 0.0, PAPER)
     assert found.two_keypoints.descriptors.shape[1] == 6
 
 
@@ -180,7 +180,9 @@ def test_the_cache_of_compiled_kernels_is_recognised(tmp_path):
     )
     environment = {"NUMBA_CACHE_DIR": str(tmp_path), "PATH": "", "LC_ALL": "C.UTF-8"}
     said = [
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment).stderr
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+        ).stderr
         for _ in range(2)
     ]
     assert "compiling kernels" in said[0]

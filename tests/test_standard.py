@@ -1,7 +1,7 @@
-import naive
 import numpy as np
 import pytest
 
+import naive
 from epiprior.standard import mutual_mask, nearest_neighbours, similarity_weights
 
 

@@ -1,7 +1,7 @@
-import naive
 import numpy as np
 import pytest
 
+import naive
 from epiprior.frames import MatchFrames
 from epiprior.putative import PutativeMatches
 from epiprior.two_keypoints import (

@@ -1,7 +1,7 @@
-import naive
 import numpy as np
 import pytest
 
+import naive
 from epiprior.frames import MatchFrames
 from epiprior.geometry import sampson_distance
 from epiprior.votes import count_votes, frame_points, rough_fundamental_matrices

@@ -11,6 +11,7 @@ from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from epiprior.baselines import snn_matches, standard_matches
     from epiprior.errors import (
         EpipriorError,
         EstimatorError,
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from epiprior.features import FeatureSettings
     from epiprior.handover import HandOver
     from epiprior.models import load_model
-    from epiprior.preprocess import rank_matches, snn_matches, standard_matches
+    from epiprior.preprocess import rank_matches
     from epiprior.presets import PreprocessSettings
     from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
 
@@ -51,8 +52,8 @@ _HOMES = {
     "estimate_fundamental": "estimate",
     "load_model": "models",
     "rank_matches": "preprocess",
-    "snn_matches": "preprocess",
-    "standard_matches": "preprocess",
+    "snn_matches": "baselines",
+    "standard_matches": "baselines",
 }
 
 __all__ = [

@@ -74,16 +74,12 @@ Preset = Annotated[str, typer.Option(help="'default' (the best measured) or 'pap
 Estimator = Annotated[str, typer.Option(help="See 'epiprior estimators'.")]
 Preprocess = Annotated[
     bool,
-    typer.Option(
-        help="Rank matches by probability first; without it, the paper's standard matches are used."
-    ),
+    typer.Option(help="Rank matches by probability first; without it, the paper's standard matches are used."),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Of the random draw; same seed, same result.")]
 Threshold = Annotated[
     float | None,
-    typer.Option(
-        help="Inlier threshold, pixels. Default: the estimator's own, as chosen on validation scenes."
-    ),
+    typer.Option(help="Inlier threshold, pixels. Default: the estimator's own, as chosen on validation scenes."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -153,9 +149,7 @@ def estimate(
     preset: Preset = "default",
     as_json: Annotated[
         bool | None,
-        typer.Option(
-            "--json/--text", help="Default: text on a terminal, JSON elsewhere.", show_default=False
-        ),
+        typer.Option("--json/--text", help="Default: text on a terminal, JSON elsewhere.", show_default=False),
     ] = None,
 ) -> None:
     """Estimate the fundamental matrix F of two photographs: x2' F x1 = 0, pixels, top-left centre at (0, 0).
@@ -229,9 +223,7 @@ def draw(
 def colmap(
     images: Annotated[list[Path], typer.Argument(metavar="A B ...", help="Photographs.", show_default=False)],
     *,
-    database: Annotated[
-        Path, typer.Option(help="COLMAP database to write; must not exist.", show_default=False)
-    ],
+    database: Annotated[Path, typer.Option(help="COLMAP database to write; must not exist.", show_default=False)],
     estimator: Estimator = "usac",
     seed: Seed = 0,
     threshold: Threshold = None,
@@ -253,9 +245,7 @@ def colmap(
 
     pairs = []
     for a, b in itertools.combinations(images, 2):
-        found = estimate_fundamental(
-            a, b, estimator=estimator, preset=preset, seed=seed, threshold_px=threshold
-        )
+        found = estimate_fundamental(a, b, estimator=estimator, preset=preset, seed=seed, threshold_px=threshold)
         typer.echo(f"{a} {b}: {summary(found)}")
         pairs.append(ColmapPair(image1=a, image2=b, estimate=found))
     write_colmap_database(database, pairs)

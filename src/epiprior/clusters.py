@@ -8,6 +8,7 @@ components are found by blocks, and only inside each is there any linking to do.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numba
 import numpy as np
@@ -119,7 +120,7 @@ def _average_linkage(D, cut):  # type: ignore[no-untyped-def]
         else:
             keep, gone = min(a, b), max(a, b)
             for k in range(m):
-                if alive[k] and k != keep and k != gone:
+                if alive[k] and k not in (keep, gone):
                     mean = (size[keep] * D[keep, k] + size[gone] * D[gone, k]) / (size[keep] + size[gone])
                     D[keep, k] = mean
                     D[k, keep] = mean
@@ -175,7 +176,7 @@ def cluster_features(descriptors: Float32Array, min_similarity: float = 0.85) ->
     _all_roots(owner)
     order = np.argsort(owner, kind="stable")
     bounds = np.flatnonzero(np.diff(owner[order], prepend=-1, append=n))
-    for lo, hi in zip(bounds[:-1], bounds[1:], strict=True):
+    for lo, hi in pairwise(bounds.tolist()):
         if hi - lo > 1:
             component = order[lo:hi]
             d = descriptors[component]

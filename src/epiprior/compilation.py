@@ -19,7 +19,7 @@ def announce_compilation() -> None:
     if kernel.signatures:
         return
     try:
-        folder = Path(kernel.stats.cache_path)
+        folder = Path(str(kernel.stats.cache_path))
         cached = any(folder.glob("votes._count_votes-*.nbi"))
     except (AttributeError, TypeError, OSError):
         cached = False

@@ -57,9 +57,7 @@ class DrawSettings:
         if not 0 <= self.epipolar_lines <= len(_HUES):
             raise SettingsError(f"epipolar_lines is {self.epipolar_lines}, must be in 0..{len(_HUES)}")
         if self.max_panel_size < _SMALLEST_PANEL:
-            raise SettingsError(
-                f"max_panel_size is {self.max_panel_size}, must be at least {_SMALLEST_PANEL}"
-            )
+            raise SettingsError(f"max_panel_size is {self.max_panel_size}, must be at least {_SMALLEST_PANEL}")
 
 
 @dataclass(frozen=True)

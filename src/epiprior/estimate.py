@@ -69,7 +69,8 @@ def estimate_fundamental(
     ----------
     Paper, section 4.7.
     """
-    from epiprior.preprocess import rank_matches, standard_matches
+    from epiprior.baselines import standard_matches
+    from epiprior.preprocess import rank_matches
 
     find_estimator(estimator)
     settings = find_preset(preset)
@@ -86,9 +87,7 @@ def estimate_fundamental(
         seconds["standard matches"] = time.perf_counter() - start
     limit = settings.features.max_image_size
     factors = (load_photograph(image1, limit).factor, load_photograph(image2, limit).factor)
-    estimate = estimate_from_matches(
-        sets, estimator=estimator, seed=seed, hand_over=how, pixel_factors=factors
-    )
+    estimate = estimate_from_matches(sets, estimator=estimator, seed=seed, hand_over=how, pixel_factors=factors)
     return replace(estimate, seconds=seconds | dict(estimate.seconds))
 
 
@@ -192,9 +191,7 @@ def _to_given_pixels(F: FloatArray, factors: tuple[float, float]) -> FloatArray 
     return normalise_fundamental(D2 @ F @ D1)
 
 
-def _try(
-    matches: MatchSet, estimator: str, seed: int, how: HandOver, settings: EstimatorSettings
-) -> _Hypothesis:
+def _try(matches: MatchSet, estimator: str, seed: int, how: HandOver, settings: EstimatorSettings) -> _Hypothesis:
     """Hand over, estimate, collect, refine, score: one roll hypothesis."""
     handed = hand_over(matches, how)
     found = fit(estimator, handed, seed=seed, settings=settings)

@@ -20,6 +20,8 @@ from epiprior.types import Features, Float32Array, FloatArray, IntArray
 
 Image = str | Path | NDArray[np.uint8]
 
+# The stubs of OpenCV lack the factories of detectors.
+_detectors: Any = cv2
 # Lowe's pyramid as OpenCV and VLFeat build it: sigma of its base, layers of an octave.
 _BASE_SIGMA = 1.6
 _LAYERS = 3
@@ -94,7 +96,6 @@ class Photograph:
         """Map pixels of the image as given to working pixels."""
         return (xy + 0.5) / self.factors - 0.5
 
-
     @property
     def working_map(self) -> FloatArray:
         """The same as a 3 x 3 affine map of homogeneous points."""
@@ -118,16 +119,13 @@ def load_photograph(image: Image, max_image_size: int = 1024) -> Photograph:
     ImageError
         If the file is missing or no image, or the array has another shape or type, or is empty.
     """
-    if isinstance(image, str | Path):
-        grey = _read_grey(Path(image))
-    else:
-        grey = _grey_of_array(image)
+    grey = _read_grey(Path(image)) if isinstance(image, str | Path) else _grey_of_array(image)
     height, width = grey.shape
     longer = max(height, width)
     if longer > max_image_size:
         ratio = max_image_size / longer
         size = (max(1, round(width * ratio)), max(1, round(height * ratio)))
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return Photograph(np.ascontiguousarray(grey), (width, height))
 
 
@@ -194,7 +192,7 @@ def _as_features(photograph: Photograph, frames: FloatArray, descriptors: Float3
 
 def _sift() -> Any:
     # Without the precise upscaling OpenCV's keypoints are biased by a quarter of a pixel.
-    return cv2.SIFT_create(enable_precise_upscale=True)
+    return _detectors.SIFT_create(enable_precise_upscale=True)
 
 
 def _frames_of(keypoints: tuple[Any, ...]) -> FloatArray:
@@ -203,14 +201,16 @@ def _frames_of(keypoints: tuple[Any, ...]) -> FloatArray:
 
 
 def _detect_sift(grey: NDArray[np.uint8], limit: int) -> tuple[FloatArray, Float32Array]:
-    sift = cv2.SIFT_create(nfeatures=limit, enable_precise_upscale=True)
+    sift = _detectors.SIFT_create(nfeatures=limit, enable_precise_upscale=True)
     keypoints, descriptors = sift.detectAndCompute(grey, None)
     if not keypoints:
         return np.empty((0, 4)), np.empty((0, 128), np.float32)
     return _frames_of(keypoints), descriptors
 
 
-def _detect_by(create: Callable[[int], Any]) -> Callable[[NDArray[np.uint8], int], tuple[FloatArray, Float32Array]]:
+def _detect_by(
+    create: Callable[[int], Any],
+) -> Callable[[NDArray[np.uint8], int], tuple[FloatArray, Float32Array]]:
     """Return a front end that finds keypoints with an OpenCV detector and describes them by SIFT."""
 
     def detect(grey: NDArray[np.uint8], limit: int) -> tuple[FloatArray, Float32Array]:
@@ -246,10 +246,10 @@ def _detect_colmap_sift(grey: NDArray[np.uint8], limit: int) -> tuple[FloatArray
 DETECTORS: dict[str, Callable[[NDArray[np.uint8], int], tuple[FloatArray, Float32Array]]] = {
     "sift": _detect_sift,
     "colmap-sift": _detect_colmap_sift,
-    "orb": _detect_by(lambda limit: cv2.ORB_create(nfeatures=limit)),
-    "mser": _detect_by(lambda _: cv2.MSER_create()),
-    "gftt": _detect_by(lambda limit: cv2.GFTTDetector_create(maxCorners=limit)),
-    "fast": _detect_by(lambda _: cv2.FastFeatureDetector_create()),
+    "orb": _detect_by(lambda limit: _detectors.ORB_create(nfeatures=limit)),
+    "mser": _detect_by(lambda _: _detectors.MSER_create()),
+    "gftt": _detect_by(lambda limit: _detectors.GFTTDetector_create(maxCorners=limit)),
+    "fast": _detect_by(lambda _: _detectors.FastFeatureDetector_create()),
 }
 
 

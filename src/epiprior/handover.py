@@ -134,9 +134,7 @@ def one_to_one_mask(feature1: IntArray, feature2: IntArray) -> BoolArray:
     """
     first, second = np.asarray(feature1, dtype=np.int64), np.asarray(feature2, dtype=np.int64)
     if first.shape != second.shape or first.ndim != 1:
-        raise FeatureError(
-            f"feature1 and feature2 have shapes {first.shape} and {second.shape}, expected (N,) twice"
-        )
+        raise FeatureError(f"feature1 and feature2 have shapes {first.shape} and {second.shape}, expected (N,) twice")
     if not len(first):
         return np.zeros(0, dtype=np.bool_)
     if min(first.min(), second.min()) < 0:
@@ -144,9 +142,7 @@ def one_to_one_mask(feature1: IntArray, feature2: IntArray) -> BoolArray:
     # Dense numbers keep the memory at the number of matches, whatever numbers the caller uses.
     unique1, dense1 = np.unique(first, return_inverse=True)
     unique2, dense2 = np.unique(second, return_inverse=True)
-    mask: BoolArray = _walk(
-        dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_)
-    )
+    mask: BoolArray = _walk(dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_))
     return mask
 
 
@@ -195,9 +191,7 @@ def hand_over(matches: MatchSet, how: HandOver) -> MatchSet:
     """
     if how.min_probability is not None:
         if np.isnan(matches.probability).any():
-            raise SettingsError(
-                f"min_probability is {how.min_probability}, but the matches carry no probabilities"
-            )
+            raise SettingsError(f"min_probability is {how.min_probability}, but the matches carry no probabilities")
         matches = matches.take(matches.probability >= how.min_probability)
     if how.max_distance_ratio is not None:
         matches = matches.take(matches.distance_ratio <= how.max_distance_ratio)
@@ -260,9 +254,7 @@ def load_hand_overs(path: Path | None = None) -> dict[str, dict[str, HandOver]]:
             raise SettingsError(f"{found}: unknown estimator {estimator!r}, known: {', '.join(table)}")
         for kind, values in _object(found, estimator, kinds).items():
             if kind not in INPUTS:
-                raise SettingsError(
-                    f"{found}: unknown input {kind!r} of {estimator}, known: {', '.join(INPUTS)}"
-                )
+                raise SettingsError(f"{found}: unknown input {kind!r} of {estimator}, known: {', '.join(INPUTS)}")
             table[estimator][kind] = _parse(f"{found}: {estimator}, {kind}", values, table[estimator][kind])
     return table
 

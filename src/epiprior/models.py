@@ -90,9 +90,7 @@ class Classifier:
         finite = np.isfinite(rows)
         if not finite.all():
             row, column = np.argwhere(~finite)[0]
-            raise FeatureError(
-                f"rows to classify: {self.columns[column]} of row {row} is {rows[row, column]}"
-            )
+            raise FeatureError(f"rows to classify: {self.columns[column]} of row {row} is {rows[row, column]}")
         chunks = [np.ascontiguousarray(rows[i : i + _CHUNK]) for i in range(0, len(rows), _CHUNK)]
         # A row's value does not depend on its chunk, so neither on the number of threads.
         if self.threads > 1 and len(chunks) > 1:
@@ -245,9 +243,7 @@ def load_model(name_or_path: str | Path, *, threads: int = 1) -> RankingModel:
     if not isinstance(manifest, dict) or manifest.get("schema_version") != SCHEMA_VERSION:
         version = manifest.get("schema_version") if isinstance(manifest, dict) else None
         raise ModelError(f"{path}: schema_version is {version!r}, this epiprior reads {SCHEMA_VERSION}")
-    contents = {
-        file: _read_checked(folder, manifest, file) for file in (*(f"{t}.onnx" for t in TARGETS), CARD)
-    }
+    contents = {file: _read_checked(folder, manifest, file) for file in (*(f"{t}.onnx" for t in TARGETS), CARD)}
     classifiers = [
         _classifier(folder / f"{target}.onnx", contents[f"{target}.onnx"], manifest, target, threads)
         for target in TARGETS
@@ -282,23 +278,15 @@ def _entry(manifest: Any, path: Path, kind: type, *keys: str) -> Any:
     return value
 
 
-def _classifier(
-    path: Path, content: bytes, manifest: dict[str, Any], target: str, threads: int
-) -> Classifier:
+def _classifier(path: Path, content: bytes, manifest: dict[str, Any], target: str, threads: int) -> Classifier:
     """Open one classifier and compare it with what the manifest says of it."""
     manifest_path = path.with_name(MANIFEST)
     columns = _entry(manifest, manifest_path, list, target, "features")
-    if (
-        not columns
-        or len(set(map(str, columns))) != len(columns)
-        or not all(isinstance(c, str) for c in columns)
-    ):
+    if not columns or len(set(map(str, columns))) != len(columns) or not all(isinstance(c, str) for c in columns):
         raise ModelError(f"{manifest_path}: {target}.features is {columns!r}, expected different names")
     a, b = (_entry(manifest, manifest_path, float, target, "calibration", key) for key in "ab")
     if not (np.isfinite(a) and np.isfinite(b) and a > 0):
-        raise ModelError(
-            f"{manifest_path}: {target}.calibration is a = {a}, b = {b}, expected finite and a > 0"
-        )
+        raise ModelError(f"{manifest_path}: {target}.calibration is a = {a}, b = {b}, expected finite and a > 0")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -310,12 +298,8 @@ def _classifier(
     inputs = [(item.name, item.type, len(item.shape)) for item in session.get_inputs()]
     outputs = [item.name for item in session.get_outputs()]
     if inputs != [("rows", "tensor(float)", 2)] or outputs != ["probability"]:
-        raise ModelError(
-            f"{path}: takes {inputs} and gives {outputs}, expected float 'rows' and 'probability'"
-        )
+        raise ModelError(f"{path}: takes {inputs} and gives {outputs}, expected float 'rows' and 'probability'")
     width = session.get_inputs()[0].shape[1]
     if width != len(columns):
-        raise ModelError(
-            f"{path}: takes {width} columns, {MANIFEST} names {len(columns)}: {', '.join(columns)}"
-        )
+        raise ModelError(f"{path}: takes {width} columns, {MANIFEST} names {len(columns)}: {', '.join(columns)}")
     return Classifier(session, tuple(columns), a, b, threads)

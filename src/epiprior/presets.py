@@ -1,4 +1,4 @@
-"""Presets: `paper` is the paper as printed (gaps filled as plainly as possible), `default` the best that we measured."""
+"""Presets: `paper` is the paper as printed, its gaps filled plainly; `default` is the best that we measured."""
 
 from __future__ import annotations
 

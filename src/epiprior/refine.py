@@ -100,9 +100,7 @@ def refine_fundamental(
     return best
 
 
-def _fit_weights(
-    F: FloatArray, x1: FloatArray, x2: FloatArray, w: FloatArray, threshold: float
-) -> FloatArray:
+def _fit_weights(F: FloatArray, x1: FloatArray, x2: FloatArray, w: FloatArray, threshold: float) -> FloatArray:
     """Return the weight of each match's squared algebraic residual in the next fit."""
     line2 = x1 @ F[:2, :2].T + F[:2, 2]
     line1 = x2 @ F[:2, :2] + F[2, :2]

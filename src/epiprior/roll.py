@@ -31,12 +31,12 @@ def roll_density(differences_deg: FloatArray, bandwidth_deg: float = 7.0) -> tup
     density : ndarray, shape (720,), float64
         Per degree; sums to 1 over the circle; uniform without any match.
     """
-    angles = np.arange(_GRID) * (360.0 / _GRID)
+    angles = np.arange(_GRID, dtype=np.float64) * (360.0 / _GRID)
     if not len(differences_deg):
         return angles, np.full(_GRID, 1 / 360.0)
     histogram = np.bincount(np.rint(differences_deg * (_GRID / 360.0)).astype(np.int64) % _GRID, minlength=_GRID)
     kernel = np.exp((np.cos(np.deg2rad(angles)) - 1) / np.deg2rad(bandwidth_deg) ** 2)
-    density = np.fft.irfft(np.fft.rfft(histogram) * np.fft.rfft(kernel), _GRID)
+    density: FloatArray = np.fft.irfft(np.fft.rfft(histogram) * np.fft.rfft(kernel), _GRID)
     return angles, density / (density.sum() * 360.0 / _GRID)
 
 

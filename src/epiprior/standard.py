@@ -83,7 +83,7 @@ def mutual_mask(forward: Neighbours, backward: Neighbours) -> BoolArray:
     """Return which descriptors of image 1 are the nearest neighbour of their nearest neighbour, shape (N1,)."""
     if not len(forward.nearest) or not len(backward.nearest):
         return np.zeros(len(forward.nearest), bool)
-    return backward.nearest[forward.nearest] == np.arange(len(forward.nearest))
+    return np.asarray(backward.nearest[forward.nearest] == np.arange(len(forward.nearest)), dtype=bool)
 
 
 def similarity_weights(forward: Neighbours, backward: Neighbours) -> FloatArray:

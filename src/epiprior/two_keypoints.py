@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from epiprior.frames import MatchFrames
@@ -54,7 +55,7 @@ class Neighbourhoods:
 
     start: IntArray
     neighbour: IntArray
-    rule: np.typing.NDArray[np.uint8]
+    rule: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,17 @@ def neighbourhoods(
     members = np.argsort(label, kind="stable")
     cluster_start = np.searchsorted(label[members], np.arange(label.max() + 2))
     start, neighbour, rule = _collect(
-        index, distance, xy, scale, label, members, cluster_start, nearest, within, max_within, nearest_of_cluster
+        index,
+        distance,
+        xy,
+        scale,
+        label,
+        members,
+        cluster_start,
+        nearest,
+        within,
+        max_within,
+        nearest_of_cluster,
     )
     return Neighbourhoods(start, neighbour, rule)
 
@@ -227,19 +238,18 @@ def match_two_keypoints(
     main, other : ndarray, shape (T,), int64
         Rows of X. A pair and its swap are two of them; their descriptors differ.
     """
-    arguments = (X.feature1, X.feature2, X.start1)
-    arguments += (neighbours1.start, neighbours1.neighbour, neighbours1.rule)
-    arguments += (neighbours2.start, neighbours2.neighbour, neighbours2.rule)
-    none = np.empty(0, np.int64)
-    total = _match_pairs(*arguments, none, none)
+    around1 = (neighbours1.start, neighbours1.neighbour, neighbours1.rule)
+    around2 = (neighbours2.start, neighbours2.neighbour, neighbours2.rule)
+    main = other = np.empty(0, np.int64)
+    total = _match_pairs(X.feature1, X.feature2, X.start1, *around1, *around2, main, other)
     main, other = np.empty(total, np.int64), np.empty(total, np.int64)
-    _match_pairs(*arguments, main, other)
+    _match_pairs(X.feature1, X.feature2, X.start1, *around1, *around2, main, other)
     return main, other
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
     """Return the size of an angle modulo a full turn, radians in [0, pi]."""
-    return np.abs(np.angle(np.exp(1j * angle)))
+    return np.asarray(np.abs(np.angle(np.exp(1j * angle))))
 
 
 def describe_two_keypoint_matches(
@@ -303,7 +313,7 @@ def _occurrences(p: IntArray, n: IntArray) -> FloatArray:
         return np.empty(0)
     key = p * (int(n.max()) + 1) + n
     _, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
-    return counts[inverse.reshape(-1)].astype(np.float64)
+    return np.asarray(counts[inverse.reshape(-1)], dtype=np.float64)
 
 
 def best_two_keypoint_matches(matches: TwoKeypointMatches, probability: FloatArray, count: int = 100) -> IntArray:

@@ -83,7 +83,9 @@ class Features:
         _require("features: orientation_deg", self.orientation_deg, (n,))
         _require("features: descriptors", self.descriptors, (n, None))
         if n and float(self.scale.min()) <= 0:
-            raise FeatureError(f"features: scale must be positive, row {int(self.scale.argmin())} is {self.scale.min()}")
+            raise FeatureError(
+                f"features: scale must be positive, row {int(self.scale.argmin())} is {self.scale.min()}"
+            )
 
     def __len__(self) -> int:
         return len(self.xy)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -155,12 +156,14 @@ def cross_calibrate(probability: FloatArray, labels: BoolArray, fold: IntArray) 
     Returns
     -------
     ndarray, shape (N,), float64
-        In (0, 1): what a calibration measures without having seen the row.
+        In (0, 1): what a calibration measures without having seen the row. A fold stays as it is where the
+        others cannot be calibrated.
     """
-    result = np.empty(len(probability))
+    result = np.array(probability, np.float64)
     for number in np.unique(fold):
         held = fold == number
-        result[held] = fit_platt(probability[~held], labels[~held])(probability[held])
+        with contextlib.suppress(CalibrationError):
+            result[held] = fit_platt(probability[~held], labels[~held])(probability[held])
     return result
 
 

@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from epiprior.baselines import snn_matches, standard_matches
 from epiprior.errors import SettingsError
 from epiprior.estimate import estimate_from_matches
 from epiprior.features import FeatureSettings, detect_features, load_photograph
 from epiprior.handover import HandOver
-from epiprior.preprocess import rank_matches, snn_matches, standard_matches
+from epiprior.preprocess import rank_matches
 from epiprior.types import FloatArray, MatchSet
 from epiprior_lab.datasets import Pair, read_pair_set
 from epiprior_lab.ground_truth import LabelSettings, errors_px

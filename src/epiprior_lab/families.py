@@ -71,6 +71,8 @@ class Trees:
 
     def probability(self, rows: Float32Array) -> FloatArray:
         """Return the probability of the right class, shape (N,)."""
+        if not len(rows):
+            return np.empty(0)
         return np.asarray(self.estimator.predict_proba(rows)[:, 1], np.float64)
 
     def importances(self) -> FloatArray | None:
@@ -165,7 +167,7 @@ def fit_tree(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
     C4.5, which prunes by a pessimistic estimate of the error, it prunes by cost and complexity.
     """
     tree = DecisionTreeClassifier(
-        criterion="entropy", min_samples_leaf=max(5, len(rows) // 2000), ccp_alpha=2e-5, random_state=seed
+        criterion="entropy", min_samples_leaf=max(20, len(rows) // 2000), ccp_alpha=2e-5, random_state=seed
     ).fit(rows, labels)
     # The tree's own values are changed, so that whatever reads them, predict_proba or an exporter, agrees.
     nodes = tree.tree_

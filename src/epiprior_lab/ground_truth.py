@@ -64,6 +64,7 @@ def label_matches(
     x2: FloatArray,
     scale1: FloatArray,
     scale2: FloatArray,
+    *,
     settings: LabelSettings | None = None,
 ) -> BoolArray:
     """Return which matches are right.
@@ -164,14 +165,9 @@ def _fit(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
     for _ in range(_REFINEMENTS):
         if F is None or best is None:
             return best
-        gradient_sq = ((x1 @ F[:, :2].T + F[:, 2])[:, :2] ** 2).sum(1) + (
-            (x2 @ F[:2] + F[2])[:, :2] ** 2
-        ).sum(1)
+        gradient_sq = ((x1 @ F[:, :2].T + F[:, 2])[:, :2] ** 2).sum(1) + ((x2 @ F[:2] + F[2])[:, :2] ** 2).sum(1)
         F = eight_point(x1, x2, 1.0 / np.maximum(gradient_sq, 1e-12 * gradient_sq.max()))
-        if (
-            F is not None
-            and (sampson_distance(F, x1, x2) ** 2).sum() < (sampson_distance(best, x1, x2) ** 2).sum()
-        ):
+        if F is not None and (sampson_distance(F, x1, x2) ** 2).sum() < (sampson_distance(best, x1, x2) ** 2).sum():
             best = F
     return best
 

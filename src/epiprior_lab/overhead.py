@@ -15,8 +15,9 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from epiprior.baselines import standard_matches
 from epiprior.estimate import estimate_from_matches
-from epiprior.preprocess import rank_matches, standard_matches
+from epiprior.preprocess import rank_matches
 from epiprior.types import MatchSet
 from epiprior_lab.datasets import Pair
 from epiprior_lab.evaluation import HandOvers

@@ -78,7 +78,7 @@ def ranked_lists(pair: Pair, matches: MatchSet, labels: LabelSettings) -> dict[s
     dict of str to ndarray, shape (n,), bool
         For each of `RANKINGS`.
     """
-    right = label_matches(pair, matches.x1, matches.x2, matches.scale1, matches.scale2, labels)
+    right = label_matches(pair, matches.x1, matches.x2, matches.scale1, matches.scale2, settings=labels)
     return {name: right[index] for name, index in ranking_orders(matches).items()}
 
 

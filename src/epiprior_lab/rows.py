@@ -14,8 +14,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from epiprior import preprocess
+from epiprior import hypothesis
 from epiprior.frames import MatchFrames
+from epiprior.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import PreprocessSettings, find_preset
 from epiprior.probabilities import StandardTable, Union
 from epiprior.two_keypoints import TwoKeypointMatches
@@ -60,7 +61,7 @@ class PairRows:
     labels: BoolArray
     two_keypoints: TwoKeypointMatches
     table: StandardTable
-    united: preprocess.UnitedMatches
+    united: hypothesis.UnitedMatches
     united_labels: BoolArray
 
     @property
@@ -82,11 +83,11 @@ class PairRows:
 def extract_rows(pair: Pair, preset: str, labels: LabelSettings | None = None) -> list[PairRows]:
     """Run the library up to the first classifier, for every roll hypothesis, and label the matches."""
     settings = find_preset(preset)
-    prepared = preprocess.prepare_pair(pair.image1, pair.image2, settings)
+    prepared = prepare_pair(pair.image1, pair.image2, settings)
     out = []
-    for roll_deg in preprocess.roll_hypotheses(prepared, settings):
-        candidates = preprocess.find_candidates(prepared, roll_deg, settings)
-        united = preprocess.unite_matches(prepared, candidates)
+    for roll_deg in roll_hypotheses(prepared, settings):
+        candidates = hypothesis.find_candidates(prepared, roll_deg, settings)
+        united = hypothesis.unite_matches(prepared, candidates)
         out.append(
             PairRows(
                 pair_id=pair.pair_id,
@@ -105,7 +106,7 @@ def extract_rows(pair: Pair, preset: str, labels: LabelSettings | None = None) -
 
 
 def _labels(
-    pair: Pair, prepared: preprocess.PreparedPair, frames: MatchFrames, settings: LabelSettings | None
+    pair: Pair, prepared: PreparedPair, frames: MatchFrames, settings: LabelSettings | None
 ) -> BoolArray:
     """Label matches; the frames are in working pixels, the ground truth in pixels of the images as given."""
     given, factors = [], []
@@ -114,7 +115,7 @@ def _labels(
         given.append(x @ inverse[:2, :2].T + inverse[:2, 2])
         factors.append(float(np.sqrt(inverse[0, 0] * inverse[1, 1])))
     x1, x2 = given
-    return label_matches(pair, x1, x2, frames.scale1 * factors[0], frames.scale2 * factors[1], settings)
+    return label_matches(pair, x1, x2, frames.scale1 * factors[0], frames.scale2 * factors[1], settings=settings)
 
 
 def match_columns(preset: str) -> tuple[str, ...]:
@@ -140,8 +141,8 @@ def match_rows(rows: PairRows, probability: FloatArray) -> tuple[Float32Array, B
         Which matches are right.
     """
     settings: PreprocessSettings = find_preset(rows.preset)
-    votes = preprocess.cast_votes(rows.frames, rows.two_keypoints, probability, settings)
-    table = preprocess.describe_matches(rows.united, rows.table, rows.two_keypoints, votes)
+    votes = hypothesis.cast_votes(rows.frames, rows.two_keypoints, probability, settings)
+    table = hypothesis.describe_matches(rows.united, rows.table, rows.two_keypoints, votes)
     return table.select(settings.match_columns), rows.united_labels
 
 
@@ -175,7 +176,8 @@ def rows_to_bytes(rows: PairRows) -> bytes:
         **_flatten("united_frames", rows.united.frames),
     }
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **{name: np.asarray(value) for name, value in columns.items()})
+    arrays: dict[str, Any] = {name: np.asarray(value) for name, value in columns.items()}
+    np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
 
 
@@ -193,7 +195,7 @@ def read_rows(path: Path) -> PairRows:
             columns=tuple(str(name) for name in stored["two_keypoints.columns"]),
             descriptors=stored["two_keypoints.descriptors"],
         )
-        united = preprocess.UnitedMatches(
+        united = hypothesis.UnitedMatches(
             union=_rebuild(Union, "union", stored),
             frames=_rebuild(MatchFrames, "united_frames", stored),
             roll_error=stored["united.roll_error"],

@@ -153,9 +153,7 @@ def _register(client: Any, name: str, run: Any) -> tuple[str, str]:
         client.create_registered_model(name)
     (model,) = run.outputs.model_outputs
     source = f"models:/{model.model_id}"
-    version = client.create_model_version(
-        name, source, run_id=run.info.run_id, model_id=model.model_id
-    ).version
+    version = client.create_model_version(name, source, run_id=run.info.run_id, model_id=model.model_id).version
     client.set_registered_model_alias(name, ALIAS, version)
     return name, str(version)
 
@@ -213,11 +211,12 @@ def _log_family(client: Any, root: Path, family: TrackedFamily) -> None:
     run_name = f"{family.preset}-{family.grouped.family}"
     run = client.create_run(experiment, run_name=run_name, tags=tags).info.run_id
     deviations = {f"{key}.deviation": value for key, value in family.grouped.deviations().items()}
-    ungrouped = {f"ungrouped.{key}": value for key, value in family.ungrouped.metrics.items()}
+    others = {f"ungrouped.{key}": value for key, value in family.ungrouped.metrics.items()}
+    others |= {f"calibrated.{key}": value for key, value in family.grouped.calibrated_metrics.items()}
     seconds = family.grouped.seconds_per_10000_rows
     timing = {"seconds_per_10000_rows": sum(seconds) / len(seconds)}
     parameters = {**tags, **family.parameters, "columns": ", ".join(family.grouped.columns)}
-    _log_batch(client, run, {**family.grouped.metrics, **deviations, **ungrouped, **timing}, parameters)
+    _log_batch(client, run, {**family.grouped.metrics, **deviations, **others, **timing}, parameters)
     for number, metrics in enumerate(family.grouped.fold_metrics):
         fold = client.create_run(
             experiment,

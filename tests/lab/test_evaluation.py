@@ -13,7 +13,8 @@ from epiprior.features import FeatureSettings
 from epiprior.geometry import sampson_distance
 from epiprior.handover import HandOver, load_hand_overs
 from epiprior.models import load_model
-from epiprior.preprocess import rank_matches, snn_matches
+from epiprior.baselines import snn_matches
+from epiprior.preprocess import rank_matches
 from epiprior.presets import find_preset
 from epiprior.types import MatchSet
 from epiprior_lab import evaluation, hand_over_search, rankings

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from grouped_rows import COLUMNS, make_rows
 from sklearn.metrics import average_precision_score, brier_score_loss, log_loss
 
 from epiprior.errors import SettingsError
@@ -15,6 +14,7 @@ from epiprior_lab.metrics import (
     row_metrics,
 )
 from epiprior_lab.training import cross_validate, fit_final, fit_without, folds_by_row, folds_by_scene
+from grouped_rows import COLUMNS, make_rows
 
 ROWS = make_rows()
 
@@ -213,7 +213,7 @@ def test_a_sample_estimates_the_top_of_all_rows():
         estimates.append(sample["precision_top_100"])
     assert np.mean(estimates) == pytest.approx(whole, abs=0.03)
     unscaled = ranking_metrics(probability[kept], labels[kept], np.full(4000, "a"))["precision_top_100"]
-    assert unscaled < whole - 0.1
+    assert unscaled < whole - 0.05
 
 
 def test_row_metrics_are_scikit_learns():

@@ -196,9 +196,7 @@ def _distinct(matches: MatchSet) -> MatchSet:
     return matches if len(first) == len(matches) else matches.take(np.sort(first))
 
 
-def _no_fit(
-    estimator: Estimator, status: Status, message: str, start: float, iterations: int | None = None
-) -> Fit:
+def _no_fit(estimator: Estimator, status: Status, message: str, start: float, iterations: int | None = None) -> Fit:
     return Fit(
         F=None,
         status=status,

@@ -79,14 +79,9 @@ def write_colmap_database(
     with replacing(path) as partial:
         database = pycolmap.Database.open(partial)
         try:
-            ids = {
-                image: _write_image(pycolmap, database, image, names[image], keypoints[image])
-                for image in images
-            }
+            ids = {image: _write_image(pycolmap, database, image, names[image], keypoints[image]) for image in images}
             for pair, (index1, index2) in zip(pairs, indices, strict=True):
-                _write_pair(
-                    pycolmap, database, pair.estimate, (ids[pair.image1], ids[pair.image2]), (index1, index2)
-                )
+                _write_pair(pycolmap, database, pair.estimate, (ids[pair.image1], ids[pair.image2]), (index1, index2))
         except RuntimeError as error:
             raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
         finally:
@@ -98,9 +93,7 @@ def check_colmap_output(path: Path) -> ModuleType:
     try:
         import pycolmap
     except ImportError as error:
-        raise OutputError(
-            f"{path}: a COLMAP database needs pycolmap: pip install 'pycolmap>=4,<5'"
-        ) from error
+        raise OutputError(f"{path}: a COLMAP database needs pycolmap: pip install 'pycolmap>=4,<5'") from error
     check_output(path)
     if path.exists():
         raise OutputError(f"{path}: exists already; a database is not overwritten")
@@ -147,9 +140,7 @@ def _check_upright(image: Path) -> None:
     if turned is None or stored is None:
         raise ImageError(f"{image}: not an image that OpenCV can read")
     if not np.array_equal(turned, stored):
-        raise ImageError(
-            f"{image}: is turned by its EXIF orientation, which COLMAP ignores; save it upright first"
-        )
+        raise ImageError(f"{image}: is turned by its EXIF orientation, which COLMAP ignores; save it upright first")
 
 
 def _keypoints(
@@ -165,9 +156,7 @@ def _keypoints(
     parts: list[IntArray] = [np.empty(0, np.int64)] * len(sides)
     for image in images:
         mine = [i for i, (other, _) in enumerate(sides) if other == image]
-        locations, inverse = np.unique(
-            np.concatenate([sides[i][1] for i in mine]), axis=0, return_inverse=True
-        )
+        locations, inverse = np.unique(np.concatenate([sides[i][1] for i in mine]), axis=0, return_inverse=True)
         keypoints[image] = locations.astype(np.float64)
         ends = np.cumsum([len(sides[i][1]) for i in mine])[:-1]
         for i, part in zip(mine, np.split(inverse.reshape(-1), ends), strict=True):

@@ -53,9 +53,7 @@ class Camera:
         for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
             value = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if value.shape != shape or not np.isfinite(value).all():
-                raise CameraError(
-                    f"{name} has shape {value.shape} or a value that is not finite, expected {shape}"
-                )
+                raise CameraError(f"{name} has shape {value.shape} or a value that is not finite, expected {shape}")
             object.__setattr__(self, name, value)
         if self.width <= 0 or self.height <= 0:
             raise CameraError(f"image size {self.width} x {self.height} is not positive")
@@ -71,9 +69,9 @@ class Camera:
         return np.asarray(-self.R.T @ self.t)
 
     def back_project(self, x: FloatArray, depth: FloatArray) -> FloatArray:
-        """Return the world points (N, 3) seen at pixels `x` (N, 2), at `depth` (N,) along the optical axis."""
+        """Return the world points (N, 3) seen at pixels `x` (N, 2) at `depth` (N,) along the axis."""
         rays = np.column_stack([x, np.ones(len(x))]) @ np.linalg.inv(self.K).T
-        return (rays * depth[:, None] - self.t) @ self.R
+        return np.asarray((rays * depth[:, None] - self.t) @ self.R)
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return pixels (N, 2), NaN at or behind the camera, and depths (N,) of world points (N, 3)."""
@@ -84,9 +82,7 @@ class Camera:
         return homogeneous[:, :2] / safe[:, None], depth
 
 
-def reproject(
-    camera1: Camera, camera2: Camera, x1: FloatArray, depth1: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def reproject(camera1: Camera, camera2: Camera, x1: FloatArray, depth1: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return where, and at which depth, `camera2` sees what `camera1` sees at `x1`.
 
     Parameters
@@ -117,9 +113,7 @@ def fundamental_from_cameras(camera1: Camera, camera2: Camera) -> FloatArray | N
     """
     R = camera2.R @ camera1.R.T
     t = camera2.t - R @ camera1.t
-    if np.linalg.norm(t) <= 1e-9 * max(
-        1.0, float(np.linalg.norm(camera1.t)), float(np.linalg.norm(camera2.t))
-    ):
+    if np.linalg.norm(t) <= 1e-9 * max(1.0, float(np.linalg.norm(camera1.t)), float(np.linalg.norm(camera2.t))):
         return None
     cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
     return normalise_fundamental(np.linalg.inv(camera2.K).T @ cross @ R @ np.linalg.inv(camera1.K))

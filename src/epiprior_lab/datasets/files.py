@@ -41,9 +41,7 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict
     header = next(reader, [])
     missing = [name for name in columns if name not in header]
     if missing:
-        raise DatasetError(
-            f"{path}, line 1: no column {missing[0]!r}, found {', '.join(header) or 'nothing'}"
-        )
+        raise DatasetError(f"{path}, line 1: no column {missing[0]!r}, found {', '.join(header) or 'nothing'}")
     for row in reader:
         if not row:
             continue

@@ -70,14 +70,13 @@ class Pair:
         return read_control_points(self.control_points_path)
 
     def fundamental(self) -> FloatArray | None:
-        """Return F with ``x2' F x1 = 0`` from the cameras; None without them, or where they share a centre."""
+        """Return F with ``x2' F x1 = 0`` from the cameras; None without them or with one centre."""
         if self.camera1 is None or self.camera2 is None:
             return None
         return fundamental_from_cameras(self.camera1, self.camera2)
 
     def depths(self) -> tuple[Float32Array, Float32Array] | None:
-        """Return both depth maps, shape (height, width), inf where nothing is seen; None where the set has
-        none.
+        """Return both depth maps, (height, width), inf where nothing is; None where the set has none.
 
         Raises
         ------
@@ -90,9 +89,7 @@ class Pair:
         for path, camera in zip(self.depth_paths, (self.camera1, self.camera2), strict=True):
             depth = read_depth(path)
             if camera is not None and depth.shape != (camera.height, camera.width):
-                raise DatasetError(
-                    f"{path}: depth has shape {depth.shape}, camera {camera.height, camera.width}"
-                )
+                raise DatasetError(f"{path}: depth has shape {depth.shape}, camera {camera.height, camera.width}")
             depths.append(depth)
         return depths[0], depths[1]
 
@@ -106,9 +103,7 @@ class Pair:
         """
         depths = self.depths()
         if depths is None or self.camera1 is None or self.camera2 is None:
-            raise DatasetError(
-                f"pair {self.pair_id!r} of {self.image1.parent.parent} has no depth maps with cameras"
-            )
+            raise DatasetError(f"pair {self.pair_id!r} of {self.image1.parent.parent} has no depth maps with cameras")
         return (self.camera1, self.camera2), depths
 
 
@@ -129,8 +124,7 @@ class PairSet:
 
 
 def read_pair_set(root: Path | str, control_points: Path | str | None = None) -> PairSet:
-    """Read and check a pair set; images, depth maps and control points themselves are read later, pair by
-    pair.
+    """Read and check a pair set; images, depth maps and control points themselves are read later, pair by pair.
 
     Parameters
     ----------
@@ -173,9 +167,7 @@ def read_pair_set(root: Path | str, control_points: Path | str | None = None) ->
     return PairSet(name=root.resolve().name, pairs=tuple(pairs))
 
 
-def _pair(
-    root: Path, points_folder: Path, row: dict[str, str], cameras: dict[str, Camera], where: str
-) -> Pair:
+def _pair(root: Path, points_folder: Path, row: dict[str, str], cameras: dict[str, Camera], where: str) -> Pair:
     """Make a pair of one row of ``pairs.csv`` and check that its files are there."""
     with_cameras = row["gt"] == "cameras"
     for name in (row["image1"], row["image2"]):

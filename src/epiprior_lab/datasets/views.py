@@ -36,9 +36,7 @@ def depth_at(depth: Float32Array, x: FloatArray) -> FloatArray:
     """Return the depth at the pixel nearest to each point, shape (N,); inf outside and where nothing is."""
     height, width = depth.shape
     # Clipped before the conversion to integers, which is undefined for huge numbers and NaN.
-    column, row = (
-        np.rint(np.clip(np.nan_to_num(x[:, k], nan=-9.0), -9.0, 1e6)).astype(np.int64) for k in (0, 1)
-    )
+    column, row = (np.rint(np.clip(np.nan_to_num(x[:, k], nan=-9.0), -9.0, 1e6)).astype(np.int64) for k in (0, 1))
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     values = np.full(len(x), np.inf)
     values[inside] = depth[row[inside], column[inside]]
@@ -73,9 +71,7 @@ def covisible(
     rows, columns = np.nonzero(np.isfinite(depths[0][::step, ::step]))
     x1 = step * np.column_stack([columns, rows]).astype(np.float64)
     x2, predicted = reproject(*cameras, x1, depth_at(depths[0], x1))
-    visible = (predicted > 0) & (
-        np.abs(depth_at(depths[1], x2) - predicted) < depth_tolerance * np.abs(predicted)
-    )
+    visible = (predicted > 0) & (np.abs(depth_at(depths[1], x2) - predicted) < depth_tolerance * np.abs(predicted))
     return x1, x2, visible
 
 
@@ -101,9 +97,7 @@ def view_difference(
         depth1 = depth_at(depths[0], x1[visible])
         points = cameras[0].back_project(x1[visible], depth1)
         rays = [points - camera.centre for camera in cameras]
-        cosine = (rays[0] * rays[1]).sum(axis=1) / np.prod(
-            [np.linalg.norm(ray, axis=1) for ray in rays], axis=0
-        )
+        cosine = (rays[0] * rays[1]).sum(axis=1) / np.prod([np.linalg.norm(ray, axis=1) for ray in rays], axis=0)
         angle = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
         ratio = np.median(depth1 / cameras[1].project(points)[1]) * cameras[1].K[0, 0] / cameras[0].K[0, 0]
         scale = float(max(ratio, 1 / ratio))

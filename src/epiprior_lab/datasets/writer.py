@@ -69,9 +69,7 @@ def write_pair_set(root: Path, pairs: Sequence[PairFiles]) -> None:
     for pair in pairs:
         stems = f"{pair.pair_id}_1", f"{pair.pair_id}_2"
         images = [f"images/{stem}.jpg" for stem in stems]
-        for stem, jpeg, depth in zip(
-            stems, (pair.jpeg1, pair.jpeg2), (pair.depth1, pair.depth2), strict=True
-        ):
+        for stem, jpeg, depth in zip(stems, (pair.jpeg1, pair.jpeg2), (pair.depth1, pair.depth2), strict=True):
             (root / "images" / f"{stem}.jpg").write_bytes(jpeg)
             (root / "depth" / f"{stem}.npz").write_bytes(depth)
         pair_rows.append([pair.pair_id, *images, "cameras", pair.scene, pair.difficulty])

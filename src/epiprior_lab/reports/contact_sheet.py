@@ -19,8 +19,7 @@ _PANEL_INCHES = (3.6, 1.78)
 
 
 def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
-    """Draw the pairs of every family as one row (or more) of a figure, with what makes them easy or hard
-    below each.
+    """Draw the pairs of every family in rows of a figure, with what makes them easy or hard below each.
 
     Parameters
     ----------

@@ -123,9 +123,7 @@ def _preview(camera: Camera) -> Camera:
     K = camera.K.copy()
     K[:2] /= _PREVIEW
     K[:2, 2] += 0.5 / _PREVIEW - 0.5
-    return Camera(
-        K=K, R=camera.R, t=camera.t, width=camera.width // _PREVIEW, height=camera.height // _PREVIEW
-    )
+    return Camera(K=K, R=camera.R, t=camera.t, width=camera.width // _PREVIEW, height=camera.height // _PREVIEW)
 
 
 def _relief(frame: Frame, cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array]) -> float:

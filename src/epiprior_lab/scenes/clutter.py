@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import cv2
 import numpy as np
 
-from epiprior.types import FloatArray
 from epiprior_lab.scenes.details import letters, poster
 from epiprior_lab.scenes.materials import foliage, jittered, wall, wall_style
-from epiprior_lab.scenes.textures import PICTURES, SURFACES, crop, noise, surface, tinted
+from epiprior_lab.scenes.placing import Placer, random_frame
+from epiprior_lab.scenes.rocks import add_rock
+from epiprior_lab.scenes.textures import PICTURES, crop, noise, surface, tinted
 from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, Image, Vector, WorldBuilder, box, upright
 
-Placer = Callable[[WorldBuilder, np.random.Generator, Vector, int], None]
 
-
-def _random_frame(rng: np.random.Generator, position: Vector) -> Frame:
-    """Return a frame at a position, turned at random."""
-    return Frame.facing(position, float(rng.uniform(0, 360)))
-
-
-def add_tree(
-    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
-) -> None:
+def add_tree(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
     """Add a trunk and a crown of crossing sheets of leaves."""
     height, crown = float(rng.uniform(3.0, 6.5)), float(rng.uniform(1.6, 3.2))
     bark = world.texture(tinted((92, 78, 62), 0.25 * surface(rng, 256, 48, ("gravel", "tissue"), zoom=0.7)))
-    frame = _random_frame(rng, position)
-    box(world, frame, (-0.13, 0.13), (0.0, height - 0.3 * crown), (-0.13, 0.13), bark, views=views)
+    frame = random_frame(rng, position)
+    box(world, frame, (-0.13, 0.13), (0.0, height - 0.3 * crown), (-0.13, 0.13), textures=bark, views=views)
     leaves = [world.texture(foliage(rng, 224)) for _ in range(2)]
     for k in range(7):
-        sheet = _random_frame(rng, frame.point(*rng.uniform(-0.22, 0.22, size=3) * crown))
+        sheet = random_frame(rng, frame.point(*rng.uniform(-0.22, 0.22, size=3) * crown))
         half = crown * rng.uniform(0.4, 0.55)
         middle = height + float(rng.uniform(-0.15, 0.15)) * crown
         across, down = 2 * half * sheet.right, np.array([0.0, 2 * half, 0.0])
@@ -39,17 +29,15 @@ def add_tree(
         world.face(sheet.point(-half, middle + half), across, down, leaves[k % 2], views=views)
 
 
-def add_lamp(
-    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
-) -> None:
+def add_lamp(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
     """Add a lamp post, with a sign on some."""
     metal = world.texture(tinted(jittered(rng, (84, 88, 88), 0.4), 0.08 * noise(rng, 256, 16, "middle")))
-    frame, height = _random_frame(rng, position), float(rng.uniform(3.0, 6.0))
-    box(world, frame, (-0.06, 0.06), (0.0, height), (-0.06, 0.06), metal, views=views)
-    box(world, frame, (-0.1, 0.5), (height, height + 0.2), (-0.12, 0.12), metal, views=views)
+    frame, height = random_frame(rng, position), float(rng.uniform(3.0, 6.0))
+    box(world, frame, (-0.06, 0.06), (0.0, height), (-0.06, 0.06), textures=metal, views=views)
+    box(world, frame, (-0.1, 0.5), (height, height + 0.2), (-0.12, 0.12), textures=metal, views=views)
     if rng.random() < 0.6:
         sign = world.texture(_board(rng, 64, 96))
-        box(world, frame, (-0.4, 0.4), (2.2, 2.75), (0.07, 0.1), sign, views=views)
+        box(world, frame, (-0.4, 0.4), (2.2, 2.75), (0.07, 0.1), textures=sign, views=views)
 
 
 def _board(rng: np.random.Generator, height: int, width: int) -> Image:
@@ -83,9 +71,9 @@ def add_car(world: WorldBuilder, rng: np.random.Generator, position: Vector, vie
         world.texture(_car_windows(rng, colour)),
         world.texture(tinted(colour, 0.03 * noise(rng, 64, 128, "coarse"))),
     )
-    box(world, frame, (0.0, length), (0.18, low), (-1.7, 0.0), (side, front, top), views=views)
+    box(world, frame, (0.0, length), (0.18, low), (-1.7, 0.0), textures=(side, front, top), views=views)
     start = 0.2 if van else 1.0
-    box(world, frame, (start, length - 0.5), (low, high), (-1.6, -0.1), (glass, glass, top), views=views)
+    box(world, frame, (start, length - 0.5), (low, high), (-1.6, -0.1), textures=(glass, glass, top), views=views)
 
 
 def _car_side(rng: np.random.Generator, colour: tuple[float, float, float]) -> Image:
@@ -123,9 +111,7 @@ def _car_windows(rng: np.random.Generator, colour: tuple[float, float, float]) -
     return image
 
 
-def add_person(
-    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
-) -> None:
+def add_person(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
     """Add a passer-by: a flat figure, clothed in parts of photographs."""
     image = np.zeros((192, 72, 4), dtype=np.uint8)
     image[..., :3] = crop(rng, 192, 72, PICTURES, part=(0.3, 0.8)) // 2 + np.uint8(20)
@@ -134,30 +120,26 @@ def add_person(
     cv2.ellipse(shape, (36, 18), (12, 16), 0, 0, 360, 255, -1)
     cv2.rectangle(shape, (14, 38), (58, 112), 255, -1)
     cv2.ellipse(shape, (36, 44), (24, 12), 0, 0, 360, 255, -1)
-    cv2.fillPoly(
-        shape, [np.array([(18, 110), (54, 110), (60, 191), (44, 191), (36, 124), (26, 191), (10, 191)])], 255
-    )
+    cv2.fillPoly(shape, [np.array([(18, 110), (54, 110), (60, 191), (44, 191), (36, 124), (26, 191), (10, 191)])], 255)
     cv2.ellipse(image, (36, 18), (12, 16), 0, 0, 360, (202, 158, 132, 255), -1)
     image[..., 3] = shape
     frame = Frame.facing(position, float(rng.normal(0, 25)))
     half = 0.34 * float(rng.uniform(0.9, 1.15))
-    upright(world, frame, (-half, half), (0.0, 5.3 * half), 0.0, world.texture(image), views=views)
+    upright(world, frame, (-half, half), (0.0, 5.3 * half), 0.0, texture=world.texture(image), views=views)
 
 
-def add_crates(
-    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
-) -> None:
+def add_crates(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
     """Add a pile of boxes with pictures on them."""
-    frame = _random_frame(rng, position)
+    frame = random_frame(rng, position)
     bottom, half = 0.0, float(rng.uniform(0.35, 0.9))
     for _ in range(int(rng.integers(1, 4))):
         high = float(rng.uniform(0.7, 1.5)) * half
         faces = [_crate_side(rng) for _ in range(2)]
         numbers = world.texture(faces[0]), world.texture(faces[1]), world.texture(_crate_side(rng))
-        box(world, frame, (-half, half), (bottom, bottom + high), (-half, half), numbers, views=views)
+        box(world, frame, (-half, half), (bottom, bottom + high), (-half, half), textures=numbers, views=views)
         bottom += high
         half *= float(rng.uniform(0.6, 0.95))
-        frame = _random_frame(rng, frame.point(*rng.uniform(-0.15, 0.15, size=2) * [half, 0]))
+        frame = random_frame(rng, frame.point(*rng.uniform(-0.15, 0.15, size=2) * [half, 0]))
 
 
 def _crate_side(rng: np.random.Generator) -> Image:
@@ -167,27 +149,21 @@ def _crate_side(rng: np.random.Generator) -> Image:
     return wall(rng, 176, 192, wall_style(rng, distinct=0.8), texels_per_m=120.0)
 
 
-def add_poster_board(
-    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
-) -> None:
+def add_poster_board(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
     """Add a board on two posts with a poster on each side."""
     frame = Frame.facing(position, float(rng.uniform(-50, 50)))
     wide, low = float(rng.uniform(0.8, 2.6)), float(rng.uniform(0.3, 1.0))
     high = low + wide * float(rng.uniform(0.6, 1.2))
     post = world.texture(tinted((96, 92, 88), 0.1 * noise(rng, 96, 16, "middle")))
     front = world.texture(poster(rng, int(260 * (high - low) / wide) + 20, 260))
-    box(world, frame, (0.0, wide), (low, high), (-0.06, 0.0), (front, post, post), views=views)
+    box(world, frame, (0.0, wide), (low, high), (-0.06, 0.0), textures=(front, post, post), views=views)
     for a in (0.1, wide - 0.2):
-        box(world, frame, (a, a + 0.08), (0.0, low), (-0.06, 0.0), post, views=views)
+        box(world, frame, (a, a + 0.08), (0.0, low), (-0.06, 0.0), textures=post, views=views)
 
 
-def add_hedge(
-    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
-) -> None:
+def add_hedge(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
     """Add a clipped hedge."""
-    relief = 0.3 * surface(rng, 128, 384, ("grass", "gravel"), zoom=0.6) + 0.2 * noise(
-        rng, 128, 384, "middle"
-    )
+    relief = 0.3 * surface(rng, 128, 384, ("grass", "gravel"), zoom=0.6) + 0.2 * noise(rng, 128, 384, "middle")
     leaves = world.texture(tinted(jittered(rng, (74, 96, 48), 0.25), relief))
     frame = Frame.facing(position, float(rng.normal(0, 20)))
     box(
@@ -196,14 +172,12 @@ def add_hedge(
         (0.0, float(rng.uniform(1.5, 5))),
         (0.0, float(rng.uniform(0.5, 1.3))),
         (-0.6, 0.0),
-        leaves,
+        textures=leaves,
         views=views,
     )
 
 
-def add_fence(
-    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
-) -> None:
+def add_fence(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
     """Add a fence of equal bars."""
     image = np.zeros((96, 96, 4), dtype=np.uint8)
     colour = (*jittered(rng, (110, 96, 80), 0.5), 255)
@@ -218,77 +192,10 @@ def add_fence(
         (0.0, length),
         (0.0, 1.0),
         0.0,
-        world.texture(image),
+        texture=world.texture(image),
         area=(0.0, 0.0, length, 1.0),
         views=views,
     )
-
-
-def add_rock(
-    world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS
-) -> None:
-    """Add a rock or statue: a bumpy ball of triangles, on a pedestal at times."""
-    radius = float(rng.uniform(0.35, 0.9))
-    relief = 0.22 * surface(rng, 256, 512, SURFACES, zoom=float(rng.uniform(0.6, 1.5))) + 0.16 * noise(
-        rng, 256, 512, "middle"
-    )
-    texture = world.texture(tinted(jittered(rng, (148, 140, 126), 0.3), relief))
-    frame, base = _random_frame(rng, position), 0.0
-    if rng.random() < 0.5:
-        base = float(rng.uniform(0.5, 1.4))
-        plinth = world.texture(wall(rng, 128, 160, wall_style(rng, distinct=0.6), texels_per_m=100.0))
-        box(
-            world,
-            frame,
-            (-0.8 * radius, 0.8 * radius),
-            (0.0, base),
-            (-0.8 * radius, 0.8 * radius),
-            plinth,
-            views=views,
-        )
-    points = _bumpy_ball(rng, radius, stretch=float(rng.uniform(0.8, 1.8)))
-    centre = frame.point(0.0, base + 0.8 * radius)
-    rows, columns = points.shape[0] - 1, points.shape[1] - 1
-    for i in range(rows):
-        for j in range(columns):
-            p = points[i : i + 2, j : j + 2] + centre
-            u, v, du, dv = j / columns, i / rows, 1 / columns, 1 / rows
-            upper = np.array([[u, v], [du, 0.0], [0.0, dv]])
-            lower = np.array([[u + du, v + dv], [-du, 0.0], [0.0, -dv]])
-            world.face(
-                p[0, 0],
-                p[0, 1] - p[0, 0],
-                p[1, 0] - p[0, 0],
-                texture,
-                texture_frame=upper,
-                triangle=True,
-                views=views,
-            )
-            world.face(
-                p[1, 1],
-                p[1, 0] - p[1, 1],
-                p[0, 1] - p[1, 1],
-                texture,
-                texture_frame=lower,
-                triangle=True,
-                views=views,
-            )
-
-
-def _bumpy_ball(rng: np.random.Generator, radius: float, *, stretch: float) -> FloatArray:
-    """Return points on a ball with dents, shape (13, 21, 3): from the top down, and around as seen from outside."""
-    rows, columns = 12, 20
-    bumps = cv2.GaussianBlur(
-        rng.standard_normal((rows + 1, columns)), (0, 0), 0.8, borderType=cv2.BORDER_REFLECT
-    )
-    bumps = 1.0 + 0.4 * bumps
-    bumps[0], bumps[-1] = 1.0, 1.0
-    bumps = np.column_stack([bumps, bumps[:, 0]])
-    polar = np.linspace(0, np.pi, rows + 1)[:, None]
-    around = np.linspace(0, 2 * np.pi, columns + 1)[None]
-    x, z = np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around)
-    y = -stretch * np.cos(polar) * np.ones_like(around)
-    return np.asarray(radius * bumps[..., None] * np.stack([x, y, z], axis=-1))
 
 
 FURNITURE: tuple[Placer, ...] = (

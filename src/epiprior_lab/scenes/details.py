@@ -74,22 +74,15 @@ def _sign(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -
 
 
 def _scrawl(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -> None:
+    """Sprayed strokes: Bezier curves of one colour."""
     colour = tuple(int(c) for c in rng.integers(20, 220, size=3))
+    colours = np.ascontiguousarray(wall[..., :3])
+    t = np.linspace(0, 1, 40)[:, None]
     for _ in range(int(rng.integers(2, 6))):
-        t = np.linspace(0, 1, 40)[:, None]
-        control = rng.uniform(-0.8, 0.8, size=(4, 2)) * scale + (x, y)
-        curve = (
-            (1 - t) ** 3 * control[0]
-            + 3 * t * (1 - t) ** 2 * control[1]
-            + 3 * t**2 * (1 - t) * control[2]
-            + t**3 * control[3]
-        )
-        _on_colours(
-            wall,
-            lambda image, c=curve: cv2.polylines(
-                image, [c.astype(np.int32)], False, colour, int(rng.integers(2, 6)), cv2.LINE_AA
-            ),
-        )  # type: ignore[misc]
+        p = rng.uniform(-0.8, 0.8, size=(4, 2)) * scale + (x, y)
+        curve = (1 - t) ** 3 * p[0] + 3 * t * (1 - t) ** 2 * p[1] + 3 * t**2 * (1 - t) * p[2] + t**3 * p[3]
+        cv2.polylines(colours, [curve.astype(np.int32)], False, colour, int(rng.integers(2, 6)), cv2.LINE_AA)
+    wall[..., :3] = colours
 
 
 def _patch(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -> None:
@@ -98,7 +91,7 @@ def _patch(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) 
     height, width = area.shape[:2]
     if min(height, width) < 8:
         return
-    v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]  # type: ignore[misc]
+    v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     inside = (0.9 - np.maximum(np.abs(u), np.abs(v)) + 0.12 * noise(rng, height, width, "middle")) > 0
     tone = rng.uniform(0.65, 1.25) + 0.05 * noise(rng, height, width, "fine")
     area[:] = np.where(inside[..., None], np.clip(area * tone[..., None], 0, 255), area)
@@ -110,7 +103,7 @@ def _stain(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) 
     height, width = area.shape[:2]
     if min(height, width) < 8:
         return
-    v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]  # type: ignore[misc]
+    v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     density = np.clip(1.0 - u**2 - v**2 + 0.3 * noise(rng, height, width, "middle"), 0, 1)
     area[:] = area * (1 - rng.uniform(0.15, 0.45) * density[..., None])
 
@@ -126,10 +119,3 @@ def _vent(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -
 def _area(wall: Image, x: int, y: int, width: int, height: int) -> Image:
     """Return a view of the colours of a rectangle, cut at the rim of the wall."""
     return wall[max(y, 0) : y + height, max(x, 0) : x + width, :3]
-
-
-def _on_colours(wall: Image, draw) -> None:  # type: ignore[no-untyped-def]
-    """Draw on the colours of a wall and leave its opacity alone."""
-    colours = np.ascontiguousarray(wall[..., :3])
-    draw(colours)
-    wall[..., :3] = colours

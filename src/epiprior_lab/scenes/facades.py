@@ -52,9 +52,7 @@ class HouseStyle:
     texels_per_m: float
 
 
-def house_style(
-    rng: np.random.Generator, *, distinct: float, variety: float, texels_per_m: float
-) -> HouseStyle:
+def house_style(rng: np.random.Generator, *, distinct: float, variety: float, texels_per_m: float) -> HouseStyle:
     """Draw a house; `distinct` walls and `variety` of windows, in [0, 1], help to tell places apart."""
     walls = wall_style(rng, distinct=distinct)
     window = window_style(rng, walls.colour, variety=variety)
@@ -73,7 +71,14 @@ def house_style(
 
 
 def add_house(
-    world: WorldBuilder, rng: np.random.Generator, frame: Frame, style: HouseStyle, *, width: float, height: float, depth: float,
+    world: WorldBuilder,
+    rng: np.random.Generator,
+    frame: Frame,
+    style: HouseStyle,
+    *,
+    width: float,
+    height: float,
+    depth: float,
     blind_back: bool = True,
 ) -> None:
     """Add a house whose front stands on `frame`: front, both sides, back, and a roof."""
@@ -89,7 +94,13 @@ def add_house(
 
 
 def add_facade(
-    world: WorldBuilder, rng: np.random.Generator, frame: Frame, style: HouseStyle, *, width: float, height: float,
+    world: WorldBuilder,
+    rng: np.random.Generator,
+    frame: Frame,
+    style: HouseStyle,
+    *,
+    width: float,
+    height: float,
     doors: bool = True,
 ) -> None:
     """Add one wall with everything on it."""
@@ -113,12 +124,12 @@ def add_facade(
         left, top, right, bottom = _texels(opening, height, scale)
         outside[top:bottom, left:right, 3] = 0
     front, behind = world.texture(outside), world.texture(inside)
-    upright(world, frame, (0.0, width), (0.0, height), 0.0, front)
-    upright(world, frame, (0.0, width), (0.0, height), -style.recess_m, behind, mirror=0.45)
+    upright(world, frame, (0.0, width), (0.0, height), 0.0, texture=front)
+    upright(world, frame, (0.0, width), (0.0, height), -style.recess_m, texture=behind, mirror=0.45)
     stone = world.texture(_stone(rng, style.window.trim_colour))
     for opening in (*windows, *entrances):
         _add_reveals(world, frame, opening, style.recess_m, stone)
-    _add_relief(world, rng, frame, style, windows, stone, width=width, height=height)
+    _add_relief(world, rng, frame, style, windows=windows, stone=stone, width=width, height=height)
 
 
 def _texels(opening: Opening, height: float, scale: float) -> tuple[int, int, int, int]:
@@ -147,9 +158,7 @@ def _openings(
                 half = 0.5 * min(rng.uniform(1.0, 2.4), style.bay_m - 0.4)
                 entrances.append((middle - half, 0.05, middle + half, min(2.5, style.storey_m - 0.2)))
             elif chance < 0.96:
-                windows.append(
-                    (middle - window.width_m / 2, foot, middle + window.width_m / 2, foot + window.height_m)
-                )
+                windows.append((middle - window.width_m / 2, foot, middle + window.width_m / 2, foot + window.height_m))
     return windows, entrances
 
 
@@ -169,23 +178,30 @@ def _stone(rng: np.random.Generator, colour: Colour) -> Image:
 
 
 def _add_relief(
-    world: WorldBuilder, rng: np.random.Generator, frame: Frame, style: HouseStyle, windows: list[Opening], stone: int,
-    *, width: float, height: float,
+    world: WorldBuilder,
+    rng: np.random.Generator,
+    frame: Frame,
+    style: HouseStyle,
+    *,
+    windows: list[Opening],
+    stone: int,
+    width: float,
+    height: float,
 ) -> None:
     """Add what stands out from the wall: sills, balconies, flower boxes, coolers, cornices, pipes, signs."""
     rail = world.texture(_railing(rng, style))
     plants = world.texture(foliage(rng, 96))
     metal = world.texture(_stone(rng, jittered(rng, (150, 152, 154), 0.25)))
     for a0, b0, a1, _ in windows:
-        box(world, frame, (a0 - 0.12, a1 + 0.12), (b0 - 0.09, b0), (0.0, 0.13), stone)
+        box(world, frame, (a0 - 0.12, a1 + 0.12), (b0 - 0.09, b0), (0.0, 0.13), textures=stone)
         chance = rng.random()
         if b0 > style.storey_m and chance < style.balconies:
-            _add_balcony(world, frame, (a0 - 0.35, a1 + 0.35), b0 - 0.15, stone, rail)
+            _add_balcony(world, frame, (a0 - 0.35, a1 + 0.35), b0 - 0.15, stone=stone, rail=rail)
         elif chance > 1.0 - 0.25 * style.window.variety:
-            box(world, frame, (a0, a1), (b0, b0 + 0.38), (0.05, 0.3), plants)
+            box(world, frame, (a0, a1), (b0, b0 + 0.38), (0.05, 0.3), textures=plants)
         elif chance > 1.0 - 0.32 * style.window.variety:
             low = b0 - 0.6
-            box(world, frame, (a1 - 0.7, a1), (low, low + 0.5), (0.02, 0.35), metal)
+            box(world, frame, (a1 - 0.7, a1), (low, low + 0.5), (0.02, 0.35), textures=metal)
     heights = [height - 0.25]
     if style.cornices:
         heights += [storey * style.storey_m for storey in range(1, int((height - 0.8) // style.storey_m) + 1)]
@@ -193,25 +209,23 @@ def _add_relief(
     for k, b in enumerate(heights):
         high, far = (0.32, 0.4) if k == 0 else (0.16, 0.14)
         area = (0.0, 0.0, width / _CORNICE_REPEAT_M, 1.0)
-        box(world, frame, (0.0, width), (b, b + high), (0.0, far), (moulding, stone, stone), area=area)
+        box(world, frame, (0.0, width), (b, b + high), (0.0, far), textures=(moulding, stone, stone), area=area)
     for _ in range(int(rng.integers(0, 3))):
         a = float(rng.uniform(0.05, 0.95) * width)
-        box(world, frame, (a, a + 0.11), (0.0, height), (0.02, 0.13), metal)
+        box(world, frame, (a, a + 0.11), (0.0, height), (0.02, 0.13), textures=metal)
     if width * height > 60:
         picture = world.texture(poster(rng, 160, 120))
         a, b = float(rng.uniform(0.1, 0.9) * width), float(rng.uniform(1.0, 3.5))
-        box(world, frame, (a, a + 0.1), (b, b + 1.0), (0.15, 0.95), (metal, picture, metal))
+        box(world, frame, (a, a + 0.1), (b, b + 1.0), (0.15, 0.95), textures=(metal, picture, metal))
 
 
-def _add_balcony(
-    world: WorldBuilder, frame: Frame, a: tuple[float, float], b: float, stone: int, rail: int
-) -> None:
+def _add_balcony(world: WorldBuilder, frame: Frame, a: tuple[float, float], b: float, *, stone: int, rail: int) -> None:
     """Add a slab with a railing on three sides."""
     far = 0.9
-    box(world, frame, a, (b - 0.15, b), (0.0, far), stone)
-    upright(world, frame, a, (b, b + 0.95), far, rail, area=(0.0, 0.0, a[1] - a[0], 1.0))
+    box(world, frame, a, (b - 0.15, b), (0.0, far), textures=stone)
+    upright(world, frame, a, (b, b + 0.95), far, texture=rail, area=(0.0, 0.0, a[1] - a[0], 1.0))
     for side in (frame.side(a[0], far), frame.side(a[1], far)):
-        upright(world, side, (0.0, far), (b, b + 0.95), 0.0, rail, area=(0.0, 0.0, far, 1.0))
+        upright(world, side, (0.0, far), (b, b + 0.95), 0.0, texture=rail, area=(0.0, 0.0, far, 1.0))
 
 
 def _railing(rng: np.random.Generator, style: HouseStyle) -> Image:
@@ -266,4 +280,4 @@ def _add_roof(
     bricks = world.texture(wall(rng, 96, 64, wall_style(rng, distinct=0.5), texels_per_m=64.0))
     for _ in range(int(rng.integers(0, 4))):
         a = float(rng.uniform(0.05, 0.9) * width)
-        box(world, frame, (a, a + 0.6), (height, height + rise + 0.9), (-half - 0.4, -half + 0.4), bricks)
+        box(world, frame, (a, a + 0.6), (height, height + rise + 0.9), (-half - 0.4, -half + 0.4), textures=bricks)

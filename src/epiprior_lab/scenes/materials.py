@@ -85,8 +85,15 @@ def wall_style(rng: np.random.Generator, *, distinct: float) -> WallStyle:
 
 
 def courses(
-    rng: np.random.Generator, height: int, width: int, *, course_px: float, stone_px: float, tones: float,
-    joints: float, regular: bool = True,
+    rng: np.random.Generator,
+    height: int,
+    width: int,
+    *,
+    course_px: float,
+    stone_px: float,
+    tones: float,
+    joints: float,
+    regular: bool = True,
 ) -> Float32Array:
     """Return rows of stones with joints, shape (height, width), as deviations from brightness 1.
 
@@ -112,9 +119,7 @@ def courses(
     return relief
 
 
-def wall(
-    rng: np.random.Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float
-) -> Image:
+def wall(rng: np.random.Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float) -> Image:
     """Return a wall, shape (height, width, 3), that repeats only what its masonry repeats."""
     relief = style.roughness * surface(
         rng, height, width, ("gravel", "grass", "tissue", "moon"), zoom=float(rng.uniform(0.8, 2.5))
@@ -125,9 +130,14 @@ def wall(
     if style.masonry in _COURSES:
         _, _, tones, joints = _COURSES[style.masonry]
         relief += courses(
-            rng, height, width, course_px=max(3.0, style.course_m * texels_per_m), stone_px=max(5.0,
-            style.stone_m * texels_per_m), tones=tones, joints=joints, regular=style.masonry in ("brick",
-            "tiles", "ashlar"),
+            rng,
+            height,
+            width,
+            course_px=max(3.0, style.course_m * texels_per_m),
+            stone_px=max(5.0, style.stone_m * texels_per_m),
+            tones=tones,
+            joints=joints,
+            regular=style.masonry in ("brick", "tiles", "ashlar"),
         )
     elif rng.random() < 0.7:
         _add_cracks(rng, relief, count=int(rng.integers(3, 12)))
@@ -143,18 +153,20 @@ def _add_cracks(rng: np.random.Generator, relief: Float32Array, *, count: int) -
         angle = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.45, size=steps))
         path = np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]) * rng.uniform(3, 9), axis=0)
         path += rng.uniform((0, 0), (width, height))
-        cv2.polylines(
-            relief, [path.astype(np.int32)], False, float(-rng.uniform(0.15, 0.4)), int(rng.integers(1, 3))
-        )
+        cv2.polylines(relief, [path.astype(np.int32)], False, float(-rng.uniform(0.15, 0.4)), int(rng.integers(1, 3)))
 
 
 def roof(rng: np.random.Generator, height: int, width: int, *, texels_per_m: float) -> Image:
     """Return rows of roof tiles."""
     colour = jittered(rng, ROOF_COLOURS[int(rng.integers(len(ROOF_COLOURS)))], 0.15)
     relief = courses(
-        rng, height, width,
-        course_px=rng.uniform(0.2, 0.35) * texels_per_m, stone_px=rng.uniform(0.2, 0.35) * texels_per_m,
-        tones=0.08, joints=0.25,
+        rng,
+        height,
+        width,
+        course_px=rng.uniform(0.2, 0.35) * texels_per_m,
+        stone_px=rng.uniform(0.2, 0.35) * texels_per_m,
+        tones=0.08,
+        joints=0.25,
     )
     relief += 0.08 * noise(rng, height, width, "middle") + 0.04 * noise(rng, height, width, "fine")
     return tinted(colour, relief, (90, 96, 70), np.clip(0.25 * noise(rng, height, width, "coarse"), 0, 1))
@@ -176,7 +188,13 @@ def pavement(rng: np.random.Generator, height: int, width: int, *, texels_per_m:
     if kind in ("slabs", "setts"):
         side = (rng.uniform(0.35, 0.8) if kind == "slabs" else rng.uniform(0.12, 0.2)) * texels_per_m
         relief += courses(
-            rng, height, width, course_px=side, stone_px=side * rng.uniform(1.0, 1.6), tones=0.08, joints=0.3,
+            rng,
+            height,
+            width,
+            course_px=side,
+            stone_px=side * rng.uniform(1.0, 1.6),
+            tones=0.08,
+            joints=0.3,
             regular=bool(rng.random() < 0.6),
         )
     zoom = float(rng.uniform(0.2, 0.35) if kind == "asphalt" else rng.uniform(0.3, 0.6))
@@ -190,12 +208,9 @@ def foliage(rng: np.random.Generator, side: int) -> Image:
     relief += 0.25 * noise(rng, side, side, "middle")
     green = jittered(rng, (84, 104, 52), 0.25)
     image = tinted(green, relief)
-    y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]  # type: ignore[misc]
+    y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]
     density = (
-        1.1
-        - np.hypot(x, y) * 1.35
-        + 0.35 * noise(rng, side, side, "middle")
-        + 0.25 * noise(rng, side, side, "fine")
+        1.1 - np.hypot(x, y) * 1.35 + 0.35 * noise(rng, side, side, "middle") + 0.25 * noise(rng, side, side, "fine")
     )
     opacity = np.where(density > 0, 255, 0).astype(np.uint8)
     return np.dstack([image, opacity])

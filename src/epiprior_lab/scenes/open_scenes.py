@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from epiprior_lab.scenes.camera_pairs import Subject
-from epiprior_lab.scenes.clutter import FURNITURE, PASSING, add_crates, add_poster_board, add_rock
+from epiprior_lab.scenes.clutter import FURNITURE, PASSING, add_crates, add_poster_board
 from epiprior_lab.scenes.facades import add_house, house_style
+from epiprior_lab.scenes.placing import scatter
+from epiprior_lab.scenes.rocks import add_rock
 from epiprior_lab.scenes.settings import FamilySettings
 from epiprior_lab.scenes.streets import begin_world
 from epiprior_lab.scenes.world import BOTH_VIEWS, FIRST_VIEW, SECOND_VIEW, Frame, World
@@ -37,16 +39,13 @@ def draw_open_scene(rng: np.random.Generator, settings: FamilySettings) -> tuple
             depth=float(rng.uniform(4, 7)),
         )
         across += wide + float(rng.uniform(1.5, 5.0))
-    for placer in (add_rock, add_crates, add_poster_board, add_rock, add_crates):
-        position = rng.uniform(-4, 4), 0.0, rng.uniform(-3.5, 1.5)
-        placer(world, rng, position, BOTH_VIEWS)
-    for _ in range(int(rng.integers(8, 15))):
-        position = rng.uniform(-9, 9), 0.0, rng.uniform(-4, 6)
-        FURNITURE[int(rng.integers(len(FURNITURE)))](world, rng, position, BOTH_VIEWS)
+    features = (add_rock, add_crates, add_poster_board)
+    scatter(world, rng, features, count=5, across=(-4.0, 4.0), before=(-1.5, 3.5), view=BOTH_VIEWS)
+    count = int(rng.integers(8, 15))
+    scatter(world, rng, FURNITURE, count=count, across=(-9.0, 9.0), before=(-6.0, 4.0), view=BOTH_VIEWS)
     for view in (FIRST_VIEW, SECOND_VIEW):
-        for _ in range(round(rng.uniform(*settings.passing))):
-            position = rng.uniform(-6, 6), 0.0, -rng.uniform(0.5, 4.0)
-            PASSING[int(rng.integers(len(PASSING)))](world, rng, position, view)
+        count = round(rng.uniform(*settings.passing))
+        scatter(world, rng, PASSING, count=count, across=(-6.0, 6.0), before=(0.5, 4.0), view=view)
     subject = Subject(
         frame=Frame.facing((0.0, 0.0, 0.0), 0.0),
         distance_m=(7.0, 11.0),

@@ -109,9 +109,7 @@ def render_pair(
             (cameras.camera1, cameras.camera2), (FIRST_VIEW, SECOND_VIEW), lights, strict=True
         ):
             shadows = cast_shadows(world, sun, subject.frame.foot, view=view)
-            images.append(
-                take(render_image(world, camera, sun, shadows, view=view), draw_photograph(rng), rng)
-            )
+            images.append(take(render_image(world, camera, sun, shadows, view=view), draw_photograph(rng), rng))
             depths.append(render_depth(world, camera, view=view))
         return RenderedPair(
             image1=images[0],
@@ -122,6 +120,4 @@ def render_pair(
             camera2=cameras.camera2,
             difference=cameras.difference,
         )
-    raise SceneError(
-        f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes"
-    )
+    raise SceneError(f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes")

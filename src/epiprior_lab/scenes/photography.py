@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from epiprior.errors import SettingsError
+from epiprior.types import Float32Array
 from epiprior_lab.scenes.world import Image
 
 
@@ -63,15 +64,14 @@ def take(image: Image, photograph: Photograph, rng: np.random.Generator) -> Imag
     light = tones[:, None] * gain * np.array(photograph.balance)
     # A soft shoulder instead of clipping: skies keep their tone.
     light = np.where(light > 220, 220 + 35 * (1 - np.exp(-(light - 220) / 35)), light)
-    exposed: Float32Array = np.asarray(cv2.LUT(image, light.astype(np.float32)[:, None, :].reshape(256, 1, 3))
-    y, x = (
-        np.linspace(-1, 1, height, dtype=np.float32)[:, None],
-        np.linspace(-1, 1, width, dtype=np.float32)[None],
-    )
-    exposed *= (1 - photograph.vignetting * (x * x + y * y) / 2)[..., None]
-    # Shared by the channels mostly, as after the demosaicing and denoising of a real camera.
-    grains = cv2.resize(rng.standard_normal((height, width), dtype=np.float32), (width, height))
-    exposed += (photograph.noise * grains)[..., None]
+    table = light.astype(np.float32).reshape(256, 1, 3)
+    exposed: Float32Array = np.asarray(cv2.LUT(image, table), dtype=np.float32)
+    y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
+    x = np.linspace(-1, 1, width, dtype=np.float32)[None]
+    exposed *= (1 - np.float32(photograph.vignetting) * (x * x + y * y) / 2)[..., None]
+    # One grain for all channels: what a real camera leaves after demosaicing is mostly noise of brightness.
+    grains = rng.standard_normal((height, width), dtype=np.float32)
+    exposed += (np.float32(photograph.noise) * grains)[..., None]
     return np.asarray(np.clip(exposed + 0.5, 0, 255).astype(np.uint8))
 
 
@@ -85,7 +85,5 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
     """
     if not 1 <= quality <= 100:
         raise SettingsError(f"jpeg_quality = {quality}, expected 1 to 100")
-    _, data = cv2.imencode(
-        ".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality]
-    )
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     return data.tobytes()

@@ -1,8 +1,8 @@
 """Compiled drawing of a world: nearest face per sample, then one filtered texture look-up per pixel and face.
 
-A face with corner O and edges A, B (camera coordinates) is seen through ``M = K [A B O]``: for a pixel p =
-(x, y, 1), ``inv(M) p = (s, t, 1) / z``. So inverse depth is the third row of inv(M) times p, exactly, and (s, t)
-is the place on the face. All of these are linear along a row of the image.
+A face with corner O and edges A, B (camera coordinates) is seen through ``M = K [A B O]``: for a pixel
+p = (x, y, 1), ``inv(M) p = (s, t, 1) / z``. So inverse depth is the third row of inv(M) times p, exactly, and
+(s, t) is the place on the face. All of these are linear along a row of the image.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _SHADOW_BIAS_M = 0.02
 class Faces(NamedTuple):
     """Faces as one camera sees them; N of them, near ones first for speed.
 
-    `inverse` (N, 3, 3) is inv(M); `bounds` (N, 4) are pixels (left, top, right, bottom) outside which a face is not
-    seen; `light` (N, 2) is brightness in the shade, and what the sun adds; the others are as in `World`.
+    `inverse` (N, 3, 3) is inv(M); `bounds` (N, 4) are pixels (left, top, right, bottom) outside which a face
+    is not seen; `light` (N, 2) is brightness in the shade, and what the sun adds; the others are as in `World`.
     """
 
     inverse: FloatArray
@@ -101,8 +101,9 @@ def nearest_faces(faces, textures, samples, inverse_depth, number):  # type: ign
                         number[i, j] = k
                 continue
             j = 0.5 * (first + last)
-            _, _, ux, vx, uy, vy = _texture_place(M, frame, (s0 + ds * j, t0 + dt * j, w0 + dw * j), samples)
-            level, _, _, _ = _level_of(levels, ux, vx, uy, vy)
+            middle = s0 + ds * j, t0 + dt * j, max(w0 + dw * j, 1e-9)
+            _, step_x, step_y = _texture_place(M, frame, middle, samples)
+            level, _, _ = _level_of(levels, step_x, step_y)
             offset, width, height = levels[level]
             for j in range(start, end + 1):
                 w = w0 + dw * j
@@ -129,7 +130,7 @@ def _span(value, slope, first, last):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _texture_place(M, frame, place, samples):  # type: ignore[no-untyped-def]
-    """Return texture coordinates and their derivatives per sample along x and y; `place` is inv(M) p."""
+    """Return texture coordinates, and their change per sample along x and y; `place` is inv(M) p."""
     s, t, w = place
     f, g = s / w, t / w
     u = frame[0, 0] + f * frame[1, 0] + g * frame[2, 0]
@@ -137,22 +138,19 @@ def _texture_place(M, frame, place, samples):  # type: ignore[no-untyped-def]
     step = 1.0 / (w * samples)
     fx, gx = (M[0, 0] - f * M[2, 0]) * step, (M[1, 0] - g * M[2, 0]) * step
     fy, gy = (M[0, 1] - f * M[2, 1]) * step, (M[1, 1] - g * M[2, 1]) * step
-    ux, vx = fx * frame[1, 0] + gx * frame[2, 0], fx * frame[1, 1] + gx * frame[2, 1]
-    uy, vy = fy * frame[1, 0] + gy * frame[2, 0], fy * frame[1, 1] + gy * frame[2, 1]
-    return u, v, ux, vx, uy, vy
+    step_x = fx * frame[1, 0] + gx * frame[2, 0], fx * frame[1, 1] + gx * frame[2, 1]
+    step_y = fy * frame[1, 0] + gy * frame[2, 0], fy * frame[1, 1] + gy * frame[2, 1]
+    return (u, v), step_x, step_y
 
 
 @numba.njit(cache=True, nogil=True)
-def _level_of(levels, ux, vx, uy, vy):  # type: ignore[no-untyped-def]
-    """Return the halving to read from, the number of probes, and the texture step that the probes spread over."""
+def _level_of(levels, step_x, step_y):  # type: ignore[no-untyped-def]
+    """Return which halving to read, the number of probes, and the texture step that these spread over."""
     width, height = levels[0, 1], levels[0, 2]
-    length_x = math.sqrt((ux * width) ** 2 + (vx * height) ** 2)
-    length_y = math.sqrt((uy * width) ** 2 + (vy * height) ** 2)
-    area = abs(ux * vy - uy * vx) * width * height
-    if length_x >= length_y:
-        major, du, dv = length_x, ux, vx
-    else:
-        major, du, dv = length_y, uy, vy
+    length_x = math.sqrt((step_x[0] * width) ** 2 + (step_x[1] * height) ** 2)
+    length_y = math.sqrt((step_y[0] * width) ** 2 + (step_y[1] * height) ** 2)
+    area = abs(step_x[0] * step_y[1] - step_y[0] * step_x[1]) * width * height
+    major, along = (length_x, step_x) if length_x >= length_y else (length_y, step_y)
     minor = max(area / max(major, 1e-12), 1.0)
     probes = min(_MAX_PROBES, max(1.0, math.ceil(0.8 * major / minor)))
     blur = max(major / probes, minor)
@@ -160,67 +158,59 @@ def _level_of(levels, ux, vx, uy, vy):  # type: ignore[no-untyped-def]
     while blur > 1.42 and level < len(levels) - 1:
         blur *= 0.5
         level += 1
-    return level, int(probes), du, dv
+    return level, int(probes), along
 
 
 @numba.njit(cache=True, nogil=True)
-def _texel(offset, width, height, texels, u, v):  # type: ignore[no-untyped-def]
-    """Return the bilinear texel at (u, v) of one halving; coordinates beyond [0, 1] repeat, except close to the rim."""
-    if -0.01 <= u <= 1.01:
-        u = min(max(u, 0.5 / width), 1.0 - 0.5 / width)
-    else:
-        u -= math.floor(u)
-    if -0.01 <= v <= 1.01:
-        v = min(max(v, 0.5 / height), 1.0 - 0.5 / height)
-    else:
-        v -= math.floor(v)
+def _texel(level, texels, u, v):  # type: ignore[no-untyped-def]
+    """Return the bilinear texel at (u, v) of one halving; beyond [0, 1] it repeats, except close to the rim."""
+    offset, width, height = level
+    u = min(max(u, 0.5 / width), 1.0 - 0.5 / width) if -0.01 <= u <= 1.01 else u - math.floor(u)
+    v = min(max(v, 0.5 / height), 1.0 - 0.5 / height) if -0.01 <= v <= 1.01 else v - math.floor(v)
     x, y = u * width - 0.5, v * height - 0.5
-    column, row = math.floor(x), math.floor(y)
-    a, b = x - column, y - row
-    c0, r0 = int(column), int(row)
+    c0, r0 = math.floor(x), math.floor(y)
+    a, b = x - c0, y - r0
     c1, r1 = c0 + 1, r0 + 1
     c0, r0 = c0 if c0 >= 0 else width - 1, r0 if r0 >= 0 else height - 1
     c1, r1 = c1 if c1 < width else 0, r1 if r1 < height else 0
-    p, q = offset + r0 * width, offset + r1 * width
+    upper, lower = offset + r0 * width, offset + r1 * width
+    return _mixed((texels[upper + c0], texels[upper + c1], texels[lower + c0], texels[lower + c1]), a, b)
+
+
+@numba.njit(cache=True, nogil=True)
+def _mixed(four, a, b):  # type: ignore[no-untyped-def]
+    """Return the bilinear mean of four pixels; the last value is only meant where they have four channels."""
+    t00, t01, t10, t11 = four
     k00, k01, k10, k11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-    t00, t01, t10, t11 = texels[p + c0], texels[p + c1], texels[q + c0], texels[q + c1]
+    last = len(t00) - 1
     return (
         k00 * t00[0] + k01 * t01[0] + k10 * t10[0] + k11 * t11[0],
         k00 * t00[1] + k01 * t01[1] + k10 * t10[1] + k11 * t11[1],
         k00 * t00[2] + k01 * t01[2] + k10 * t10[2] + k11 * t11[2],
-        k00 * t00[3] + k01 * t01[3] + k10 * t10[3] + k11 * t11[3],
+        k00 * t00[last] + k01 * t01[last] + k10 * t10[last] + k11 * t11[last],
     )
 
 
 @numba.njit(cache=True, nogil=True)
-def _surroundings_at(surroundings, x, y, z):  # type: ignore[no-untyped-def]
+def _surroundings_at(surroundings, ray):  # type: ignore[no-untyped-def]
     """Return the colour seen in a world direction (y points down)."""
+    x, y, z = ray
     rows, columns = surroundings.shape[:2]
     elevation = math.atan2(-y, math.sqrt(x * x + z * z))
     r = (0.5 - elevation / math.pi) * (rows - 1)
     c = (0.5 + math.atan2(x, z) / (2 * math.pi)) * columns
     r0 = min(int(r), rows - 2)
-    c0 = int(c) % columns
-    c1 = (c0 + 1) % columns
-    a, b = c - math.floor(c), r - r0
-    k00, k01, k10, k11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-    t00, t01, t10, t11 = (
-        surroundings[r0, c0],
-        surroundings[r0, c1],
-        surroundings[r0 + 1, c0],
-        surroundings[r0 + 1, c1],
-    )
-    return (
-        k00 * t00[0] + k01 * t01[0] + k10 * t10[0] + k11 * t11[0],
-        k00 * t00[1] + k01 * t01[1] + k10 * t10[1] + k11 * t11[1],
-        k00 * t00[2] + k01 * t01[2] + k10 * t10[2] + k11 * t11[2],
-    )
+    c0, c1 = int(c) % columns, (int(c) + 1) % columns
+    four = surroundings[r0, c0], surroundings[r0, c1], surroundings[r0 + 1, c0], surroundings[r0 + 1, c1]
+    red, green, blue, _ = _mixed(four, c - math.floor(c), r - r0)
+    return red, green, blue
 
 
 @numba.njit(cache=True, nogil=True)
-def _sunlit(projection, depth, x, y, z):  # type: ignore[no-untyped-def]
-    """Return how much sun reaches a world point, in [0, 1]: the bilinear mean of four tests; 1 outside the map."""
+def _sunlit(projection, depth, point):  # type: ignore[no-untyped-def]
+    """Return how much sun reaches a world point, in [0, 1]: the mean of four tests; 1 outside the map."""
     size = len(depth)
+    x, y, z = point
     w = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2] * z + projection[2, 3]
     column = (projection[0, 0] * x + projection[0, 1] * y + projection[0, 2] * z + projection[0, 3]) / w
     row = (projection[1, 0] * x + projection[1, 1] * y + projection[1, 2] * z + projection[1, 3]) / w
@@ -236,93 +226,63 @@ def _sunlit(projection, depth, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _face_colour(
-    M,
-    frame,
-    levels,
-    texels,
-    light,
-    mirror,
-    normal,
-    surroundings,
-    shadow_projection,
-    shadow_depth,
-    eye,
-    x,
-    y,
-    rx,
-    ry,
-    rz,
-):  # type: ignore[no-untyped-def]
-    """Return the colour of a face around a pixel (x, y), whose ray in the world is (rx, ry, rz).
+def _ray(to_world, pixel):  # type: ignore[no-untyped-def]
+    """Return the ray of a pixel in the world; its length is 1 along the optical axis."""
+    x, y = pixel
+    return (
+        to_world[0, 0] * x + to_world[0, 1] * y + to_world[0, 2],
+        to_world[1, 0] * x + to_world[1, 1] * y + to_world[1, 2],
+        to_world[2, 0] * x + to_world[2, 1] * y + to_world[2, 2],
+    )
 
-    `light` is the brightness in the shade, and what the sun adds.
-    """
+
+@numba.njit(cache=True, nogil=True)
+def _face_colour(faces, textures, place, k, pixel):  # type: ignore[no-untyped-def]
+    """Return the colour of face `k` around a pixel (x, y)."""
+    M, normal, (x, y) = faces.inverse[k], faces.normal[k], pixel
+    rx, ry, rz = _ray(place.to_world, pixel)
     s = M[0, 0] * x + M[0, 1] * y + M[0, 2]
     t = M[1, 0] * x + M[1, 1] * y + M[1, 2]
     w = max(M[2, 0] * x + M[2, 1] * y + M[2, 2], 1e-9)
-    u, v, ux, vx, uy, vy = _texture_place(M, frame, s, t, w, 1)
-    level, probes, du, dv = _level_of(levels, ux, vx, uy, vy)
-    offset, width, height = levels[level]
+    (u, v), step_x, step_y = _texture_place(M, faces.frame[k], (s, t, w), 1)
+    levels = textures.levels[faces.texture[k]]
+    level, probes, (du, dv) = _level_of(levels, step_x, step_y)
     r, g, b, opacity = 0.0, 0.0, 0.0, 0.0
     for probe in range(probes):
         part = (probe + 0.5) / probes - 0.5
-        dr, dg, db, da = _texel(offset, width, height, texels, u + part * du, v + part * dv)
+        dr, dg, db, da = _texel(levels[level], textures.texels, u + part * du, v + part * dv)
         r, g, b, opacity = r + dr, g + dg, b + db, opacity + da
-    shade = light[0]
-    if light[1] > 0.0:
+    shade = faces.light[k, 0]
+    if faces.light[k, 1] > 0.0:
         # Tested a little before the face, or faces at a slant to the sun would be dotted with their own shadow.
-        z, above = 1.0 / w, _SHADOW_OFFSET_M
-        px, py, pz = (
-            eye[0] + z * rx + above * normal[0],
-            eye[1] + z * ry + above * normal[1],
-            eye[2] + z * rz + above * normal[2],
-        )
-        shade += light[1] * _sunlit(shadow_projection, shadow_depth, px, py, pz)
+        z, above, eye = 1.0 / w, _SHADOW_OFFSET_M, place.eye
+        px = eye[0] + z * rx + above * normal[0]
+        py = eye[1] + z * ry + above * normal[1]
+        pz = eye[2] + z * rz + above * normal[2]
+        shade += faces.light[k, 1] * _sunlit(place.sun_projection, place.sun_depth, (px, py, pz))
     factor = shade / probes
     r, g, b = r * factor, g * factor, b * factor
-    share = mirror * min(max((255.0 - opacity / probes) / (255.0 - _OPAQUE), 0.0), 1.0)
+    share = faces.mirror[k] * min(max((255.0 - opacity / probes) / (255.0 - _OPAQUE), 0.0), 1.0)
     if share > 0.0:
         d = 2.0 * (rx * normal[0] + ry * normal[1] + rz * normal[2])
-        mr, mg, mb = _surroundings_at(
-            surroundings, rx - d * normal[0], ry - d * normal[1], rz - d * normal[2]
-        )
+        reflected = rx - d * normal[0], ry - d * normal[1], rz - d * normal[2]
+        mr, mg, mb = _surroundings_at(place.surroundings, reflected)
         r, g, b = r + share * (mr - r), g + share * (mg - g), b + share * (mb - b)
     return r, g, b
 
 
 @numba.njit(cache=True, nogil=True)
-def paint(
-    inverse,
-    frame,
-    texture,
-    light,
-    mirror,
-    normal,
-    levels,
-    texels,
-    surroundings,
-    shadow_projection,
-    shadow_depth,
-    to_world,
-    eye,
-    samples,
-    face,
-    image,
-):  # type: ignore[no-untyped-def]
-    """Write the colour of each pixel: the mean over its samples, each face looked up once.
-
-    `to_world` maps a pixel (x, y, 1) to its ray in the world, which starts at `eye`; `face` holds `samples`
-    x `samples` numbers per pixel.
-    """
+def paint(faces, textures, place, number, image):  # type: ignore[no-untyped-def]
+    """Write the colour of each pixel: the mean over its samples in `number`, each face looked up once."""
     rows, columns = image.shape[:2]
+    samples = number.shape[0] // rows
     found, count = np.empty(samples * samples, dtype=np.int64), np.empty(samples * samples, dtype=np.int64)
     for y in range(rows):
         for x in range(columns):
             different = 0
             for i in range(y * samples, (y + 1) * samples):
                 for j in range(x * samples, (x + 1) * samples):
-                    k = face[i, j]
+                    k = number[i, j]
                     position = 0
                     while position < different and found[position] != k:
                         position += 1
@@ -330,19 +290,13 @@ def paint(
                         found[position], count[position] = k, 0
                         different += 1
                     count[position] += 1
-            rx = to_world[0, 0] * x + to_world[0, 1] * y + to_world[0, 2]
-            ry = to_world[1, 0] * x + to_world[1, 1] * y + to_world[1, 2]
-            rz = to_world[2, 0] * x + to_world[2, 1] * y + to_world[2, 2]
             r, g, b = 0.0, 0.0, 0.0
             for position in range(different):
                 k = found[position]
                 if k < 0:
-                    dr, dg, db = _surroundings_at(surroundings, rx, ry, rz)
+                    dr, dg, db = _surroundings_at(place.surroundings, _ray(place.to_world, (x, y)))
                 else:
-                    dr, dg, db = _face_colour(
-                        inverse[k], frame[k], levels[texture[k]], texels, light[k], mirror[k], normal[k],
-                        surroundings, shadow_projection, shadow_depth, eye, x, y, rx, ry, rz,
-                    )
+                    dr, dg, db = _face_colour(faces, textures, place, k, (x, y))
                 part = count[position] / (samples * samples)
                 r, g, b = r + part * dr, g + part * dg, b + part * db
             image[y, x, 0] = np.uint8(min(max(r + 0.5, 0.0), 255.0))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from epiprior.types import Float32Array, FloatArray, IntArray
+from epiprior.types import Float32Array, FloatArray
 from epiprior_lab.datasets import Camera
 from epiprior_lab.scenes import raster
 from epiprior_lab.scenes.light import Light, Shadows
@@ -16,19 +14,11 @@ from epiprior_lab.scenes.world import BOTH_VIEWS, Image, World
 _NEAR = 0.05
 
 
-class _Seen(NamedTuple):
-    """The faces of a world that a camera may see."""
-
-    faces: IntArray
-    inverse: FloatArray
-    bounds: FloatArray
-
-
 def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Float32Array:
     """Return the depth of the nearest face at each pixel's centre, (height, width); inf where there is none."""
-    inverse_depth, _ = _nearest(world, camera, _seen(world, camera, view), 1)
+    inverse_depth, _ = _nearest(world, camera, _faces(world, camera, view, None), 1)
     with np.errstate(divide="ignore"):
-        return (1.0 / inverse_depth).astype(np.float32)
+        return np.asarray(1.0 / inverse_depth, dtype=np.float32)
 
 
 def render_image(
@@ -54,57 +44,29 @@ def render_image(
     ndarray, shape (height, width, 3), uint8
         RGB.
     """
-    seen = _seen(world, camera, view)
-    _, face = _nearest(world, camera, seen, samples)
-    image = np.empty((camera.height, camera.width, 3), dtype=np.uint8)
-    normal = np.cross(world.down[seen.index], world.across[seen.index])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    by_sun = (1.0 - light.ambient) * np.maximum(normal @ light.to_sun, 0.0)
-    in_shade = np.full(len(normal), light.ambient)
-    raster.paint(
-        seen.inverse,
-        world.texture_frame[seen.index],
-        world.texture[seen.index],
-        np.ascontiguousarray(world.brightness[seen.index, None] * np.column_stack([in_shade, by_sun])),
-        world.mirror[seen.index],
-        normal,
-        world.levels,
-        world.texels,
-        world.surroundings,
-        shadows.projection,
-        shadows.depth,
-        camera.R.T @ np.linalg.inv(camera.K),
-        camera.centre,
-        samples,
-        face,
-        image,
+    faces = _faces(world, camera, view, light)
+    _, number = _nearest(world, camera, faces, samples)
+    place = raster.Place(
+        to_world=np.ascontiguousarray(camera.R.T @ np.linalg.inv(camera.K)),
+        eye=camera.centre,
+        surroundings=world.surroundings,
+        sun_projection=shadows.projection,
+        sun_depth=shadows.depth,
     )
+    image = np.empty((camera.height, camera.width, 3), dtype=np.uint8)
+    raster.paint(faces, raster.Textures(world.levels, world.texels), place, number, image)
     return image
 
 
-def _nearest(
-    world: World, camera: Camera, seen: _Seen, samples: int
-) -> tuple[Float32Array, NDArray[np.int32]]:
-    """Return inverse depth and the number of the nearest face, among those seen, at each sample."""
+def _nearest(world: World, camera: Camera, faces: raster.Faces, samples: int) -> tuple[Float32Array, NDArray[np.int32]]:
+    """Return inverse depth and the number of the nearest face at each sample."""
     shape = camera.height * samples, camera.width * samples
-    inverse_depth, face = np.zeros(shape, dtype=np.float32), np.full(shape, -1, dtype=np.int32)
-    raster.nearest_faces(
-        seen.inverse,
-        seen.bounds,
-        world.triangle[seen.index],
-        world.cut_out[seen.index],
-        world.texture_frame[seen.index],
-        world.texture[seen.index],
-        world.levels,
-        world.texels,
-        samples,
-        inverse_depth,
-        face,
-    )
-    return inverse_depth, face
+    inverse_depth, number = np.zeros(shape, dtype=np.float32), np.full(shape, -1, dtype=np.int32)
+    raster.nearest_faces(faces, raster.Textures(world.levels, world.texels), samples, inverse_depth, number)
+    return inverse_depth, number
 
 
-def _seen(world: World, camera: Camera, view: int) -> _Seen:
+def _faces(world: World, camera: Camera, view: int, light: Light | None) -> raster.Faces:
     """Return the faces in view, the maps from pixels to places on them, and where they fall in the image."""
     corner = world.corner @ camera.R.T + camera.t
     across, down = world.across @ camera.R.T, world.down @ camera.R.T
@@ -112,14 +74,34 @@ def _seen(world: World, camera: Camera, view: int) -> _Seen:
     polygons = np.stack([corner, corner + across, last, corner + down], axis=1)
     bounds = _bounds(polygons, camera)
     M = camera.K @ np.stack([across, down, corner], axis=2)
-    with np.errstate(invalid="ignore"):
-        regular = np.abs(np.linalg.det(M)) > 1e-9 * np.prod(np.linalg.norm(M, axis=1), axis=1)
+    # A face seen exactly from its edge has no inverse, and nothing to show.
+    regular = np.abs(np.linalg.det(M)) > 1e-9 * np.prod(np.linalg.norm(M, axis=1), axis=1)
     inside = (bounds[:, 2] >= 0) & (bounds[:, 0] <= camera.width - 1)
     inside &= (bounds[:, 3] >= 0) & (bounds[:, 1] <= camera.height - 1)
     index = np.flatnonzero(regular & inside & ((world.views & view) > 0))
     # Near faces first: most samples of what is behind them are then refused at once.
     index = index[np.argsort(polygons[index, :, 2].min(axis=1), kind="stable")]
-    return _Seen(index, np.ascontiguousarray(np.linalg.inv(M[index])), np.ascontiguousarray(bounds[index]))
+    normal = np.cross(world.down[index], world.across[index])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return raster.Faces(
+        inverse=np.ascontiguousarray(np.linalg.inv(M[index])),
+        bounds=np.ascontiguousarray(bounds[index]),
+        frame=world.texture_frame[index],
+        texture=world.texture[index],
+        triangle=world.triangle[index],
+        cut_out=world.cut_out[index],
+        mirror=world.mirror[index],
+        normal=normal,
+        light=_light_on(normal, world.brightness[index], light),
+    )
+
+
+def _light_on(normal: FloatArray, brightness: FloatArray, light: Light | None) -> FloatArray:
+    """Return each face's brightness in the shade and what the sun adds, shape (N, 2); zeros without light."""
+    if light is None:
+        return np.zeros((len(normal), 2))
+    by_sun = (1.0 - light.ambient) * np.maximum(normal @ light.to_sun, 0.0)
+    return np.column_stack([brightness * light.ambient, brightness * by_sun])
 
 
 def _bounds(polygons: FloatArray, camera: Camera) -> FloatArray:

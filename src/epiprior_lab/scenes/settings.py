@@ -62,9 +62,7 @@ class FamilySettings:
                 low, high = getattr(self, field.name)
                 least, most = limits[field.name]
                 if not least <= low <= high <= most:
-                    raise SettingsError(
-                        f"{field.name} = ({low}, {high}), expected {least} <= low <= high <= {most}"
-                    )
+                    raise SettingsError(f"{field.name} = ({low}, {high}), expected {least} <= low <= high <= {most}")
 
 
 FAMILIES: Mapping[str, FamilySettings] = MappingProxyType(
@@ -74,7 +72,7 @@ FAMILIES: Mapping[str, FamilySettings] = MappingProxyType(
             scale_ratio=(1.0, 1.25), roll_deg=(0, 3), relief=0.3, passing=(0, 1), relit=0.0,
         ),
         "facades-hard": FamilySettings(
-            facades=1.0, distinct=(0.0, 0.3), variety=(0.2, 0.6), angle_deg=(40, 62), overlap=(0.22, 0.7),
+            facades=1.0, distinct=(0.0, 0.3), variety=(0.2, 0.6), angle_deg=(42, 64), overlap=(0.22, 0.7),
             scale_ratio=(1.0, 1.9), roll_deg=(0, 5), relief=0.15, passing=(1, 4), relit=0.5,
         ),
         "open": FamilySettings(
@@ -82,7 +80,7 @@ FAMILIES: Mapping[str, FamilySettings] = MappingProxyType(
             scale_ratio=(1.0, 2.5), roll_deg=(0, 6), relief=0.15, passing=(0, 3), relit=0.25,
         ),
         "rolled": FamilySettings(
-            facades=0.5, distinct=(0.2, 0.7), variety=(0.3, 1.0), angle_deg=(15, 45), overlap=(0.25, 0.8),
+            facades=0.5, distinct=(0.2, 0.7), variety=(0.3, 1.0), angle_deg=(18, 48), overlap=(0.25, 0.8),
             scale_ratio=(1.0, 2.2), roll_deg=(20, 180), relief=0.15, passing=(1, 5), relit=0.0,
         ),
     }

@@ -10,9 +10,10 @@ from epiprior_lab.scenes.camera_pairs import Subject
 from epiprior_lab.scenes.clutter import FURNITURE, PASSING
 from epiprior_lab.scenes.facades import add_facade, add_house, house_style
 from epiprior_lab.scenes.materials import foliage, pavement, wall, wall_style
+from epiprior_lab.scenes.placing import scatter
 from epiprior_lab.scenes.settings import FamilySettings
 from epiprior_lab.scenes.surroundings import draw_surroundings
-from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Frame, Image, World, WorldBuilder, upright
+from epiprior_lab.scenes.world import BOTH_VIEWS, FIRST_VIEW, SECOND_VIEW, Frame, Image, World, WorldBuilder, upright
 
 _TEXELS_PER_M = 56.0
 _GROUND_M = 120.0
@@ -86,7 +87,11 @@ def draw_street(rng: np.random.Generator, settings: FamilySettings) -> tuple[Wor
         add_facade(world, rng, part, style, width=right - left, height=height)
         _add_returns(world, rng, part, width=right - left, height=height, depth=forward + 0.3)
     _add_neighbours(world, rng, frame, settings, width=width)
-    _add_things(world, rng, settings, near=2.0, far=7.0, spread=0.55 * width)
+    across, before = (-0.55 * width, 0.55 * width), (2.0, 7.0)
+    scatter(world, rng, FURNITURE, count=int(rng.integers(3, 8)), across=across, before=before, view=BOTH_VIEWS)
+    for view in (FIRST_VIEW, SECOND_VIEW):
+        count = round(rng.uniform(*settings.passing))
+        scatter(world, rng, PASSING, count=count, across=across, before=before, view=view)
     subject = Subject(
         frame=Frame(np.zeros(3), frame.right, frame.outward),
         distance_m=(11.0, 18.0),
@@ -105,9 +110,9 @@ def _add_returns(
     texture = world.texture(
         wall(rng, int(24 * height), max(8, int(24 * depth)), wall_style(rng, distinct=0.3), texels_per_m=24.0)
     )
-    upright(world, frame.side(width), (0.0, depth), (0.0, height), 0.0, texture)
+    upright(world, frame.side(width), (0.0, depth), (0.0, height), 0.0, texture=texture)
     left = Frame(frame.point(0.0, 0.0, -depth), frame.outward, -frame.right)
-    upright(world, left, (0.0, depth), (0.0, height), 0.0, texture)
+    upright(world, left, (0.0, depth), (0.0, height), 0.0, texture=texture)
 
 
 def _add_neighbours(
@@ -125,22 +130,3 @@ def _add_neighbours(
         start = -wide - rng.uniform(0, 1.5) if side < 0 else width + rng.uniform(0, 1.5)
         place = Frame(frame.point(float(start), 0.0, forward), frame.right, frame.outward)
         add_house(world, rng, place, style, width=wide, height=float(rng.uniform(5, 12)), depth=8.0)
-
-
-def _add_things(
-    world: WorldBuilder,
-    rng: np.random.Generator,
-    settings: FamilySettings,
-    *,
-    near: float,
-    far: float,
-    spread: float,
-) -> None:
-    """Scatter furniture before the subject, and what stands there in one view only."""
-    for _ in range(int(rng.integers(3, 8))):
-        position = rng.uniform(-spread, spread), 0.0, -rng.uniform(near, far)
-        FURNITURE[int(rng.integers(len(FURNITURE)))](world, rng, position, 3)
-    for view in (FIRST_VIEW, SECOND_VIEW):
-        for _ in range(round(rng.uniform(*settings.passing))):
-            position = rng.uniform(-spread, spread), 0.0, -rng.uniform(near, far)
-            PASSING[int(rng.integers(len(PASSING)))](world, rng, position, view)

@@ -14,9 +14,7 @@ _ROWS, _COLUMNS = 512, 1024
 def draw_surroundings(rng: np.random.Generator) -> Image:
     """Return a picture of all directions, (512, 1024, 3): zenith in the first row, horizon in the middle."""
     half = _ROWS // 2
-    zenith = np.array(
-        ((92, 130, 186), (150, 160, 172), (118, 148, 190))[int(rng.integers(3))], dtype=np.float32
-    )
+    zenith = np.array(((92, 130, 186), (150, 160, 172), (118, 148, 190))[int(rng.integers(3))], dtype=np.float32)
     horizon = np.array((206, 212, 216), dtype=np.float32)
     part = np.linspace(0, 1, half, dtype=np.float32)[:, None, None] ** 1.5
     sky = np.repeat(zenith * (1 - part) + horizon * part, _COLUMNS, axis=1)
@@ -26,7 +24,7 @@ def draw_surroundings(rng: np.random.Generator) -> Image:
     ground = np.full((half, _COLUMNS, 3), 112, dtype=np.float32)
     image = np.concatenate([sky, ground])
     image[half - 40 : half + 10] = _skyline(rng, image[half - 40 : half + 10])
-    return np.clip(image, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(image, 0, 255), dtype=np.uint8)
 
 
 def _skyline(rng: np.random.Generator, band: np.ndarray) -> np.ndarray:

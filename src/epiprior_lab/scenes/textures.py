@@ -74,9 +74,7 @@ def _noise_field(grain: Grain) -> Float32Array:
     rng = np.random.default_rng(list(_EXPONENT).index(grain))
     white = rng.standard_normal((_FIELD_SIDE, _FIELD_SIDE), dtype=np.float32)
     spectrum = fft.rfft2(white)
-    frequency = np.hypot(fft.fftfreq(_FIELD_SIDE)[:, None], fft.rfftfreq(_FIELD_SIDE)[None]).astype(
-        np.float32
-    )
+    frequency = np.hypot(fft.fftfreq(_FIELD_SIDE)[:, None], fft.rfftfreq(_FIELD_SIDE)[None]).astype(np.float32)
     frequency[0, 0] = np.inf
     field = fft.irfft2(spectrum * np.maximum(frequency, 2.0 / _FIELD_SIDE) ** -_EXPONENT[grain])
     return np.ascontiguousarray((field / field.std()).astype(np.float32))
@@ -124,16 +122,11 @@ def crop(
     if rng.random() < 0.5:
         window = window[:, ::-1]
     how = cv2.INTER_AREA if h > height else cv2.INTER_CUBIC
-    return np.asarray(
-        cv2.resize(np.ascontiguousarray(window), (width, height), interpolation=how), dtype=np.uint8
-    )
+    return np.asarray(cv2.resize(np.ascontiguousarray(window), (width, height), interpolation=how), dtype=np.uint8)
 
 
-def surface(
-    rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, zoom: float
-) -> Float32Array:
-    """Return the brightness of a photograph, tiled by mirroring, shape (height, width), mean 0 and
-    deviation 1.
+def surface(rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, zoom: float) -> Float32Array:
+    """Return the brightness of a photograph, tiled by mirroring, (height, width), mean 0, deviation 1.
 
     `zoom` texels per pixel of the photograph.
     """
@@ -142,9 +135,7 @@ def surface(
     top, left = int(rng.integers(image.shape[0])), int(rng.integers(image.shape[1]))
     r = _mirrored(np.arange(top, top + rows), image.shape[0])
     c = _mirrored(np.arange(left, left + columns), image.shape[1])
-    window = cv2.resize(image[r[:, None], c[None]].astype(np.float32), None, fx=zoom, fy=zoom)[
-        :height, :width
-    ]
+    window = cv2.resize(image[r[:, None], c[None]].astype(np.float32), None, fx=zoom, fy=zoom)[:height, :width]
     window = cv2.resize(window, (width, height)) if window.shape != (height, width) else window
     return np.asarray((window - window.mean()) / max(float(window.std()), 1.0), dtype=np.float32)
 

@@ -93,7 +93,7 @@ def draw_panes(rng: np.random.Generator, area: Image, style: WindowStyle, *, tex
     _draw_curtains(rng, area, style)
     frame = max(2, round(style.frame_m * texels_per_m))
     tone = 1.0 + style.variety * rng.uniform(-0.10, 0.06)
-    colour = tuple(int(min(255, c * tone)) for c in style.frame_colour) + (_SOLID,)
+    colour = (*(int(min(255, c * tone)) for c in style.frame_colour), _SOLID)
     for k in range(1, style.columns):
         x = round(k * width / style.columns)
         bar = frame if 2 * k == style.columns else max(1, frame // 2)
@@ -102,9 +102,9 @@ def draw_panes(rng: np.random.Generator, area: Image, style: WindowStyle, *, tex
         y = round(k * height / style.rows)
         bar = max(1, frame // 2)
         area[y : y + bar] = colour
-        area[min(y + bar, height - 1)] = [int(0.5 * c) for c in colour[:3]] + [_SOLID]
+        area[min(y + bar, height - 1)] = [*(int(0.5 * c) for c in colour[:3]), _SOLID]
     cv2.rectangle(area, (0, 0), (width - 1, height - 1), colour, frame)
-    inner = tuple(int(0.45 * c) for c in colour[:3]) + (_SOLID,)
+    inner = (*(int(0.45 * c) for c in colour[:3]), _SOLID)
     cv2.rectangle(area, (frame, frame), (width - 1 - frame, height - 1 - frame), inner, 1)
     area[: max(2, height // 14), :, :3] //= 2  # the shadow of the reveal above
 
@@ -132,22 +132,23 @@ def _draw_curtains(rng: np.random.Generator, area: Image, style: WindowStyle) ->
 
 
 def draw_trim(
-    rng: np.random.Generator, wall: Image, opening: tuple[int, int, int, int], style: WindowStyle, carving:
-    Image | None, *, texels_per_m: float,
+    rng: np.random.Generator,
+    wall: Image,
+    opening: tuple[int, int, int, int],
+    style: WindowStyle,
+    carving: Image | None,
+    *,
+    texels_per_m: float,
 ) -> None:
     """Draw the stone around an opening (left, top, right, bottom) on a wall (H, W, 4), shutters, and dirt below."""
     left, top, right, bottom = opening
     band = max(3, round(0.14 * texels_per_m))
     colour = (*style.trim_colour, _SOLID)
-    edge = tuple(0.62 * c for c in style.trim_colour) + (_SOLID,)
+    edge = (*(0.62 * c for c in style.trim_colour), _SOLID)
     if style.lintel != "none":
         cv2.rectangle(wall, (left - band, top - band), (right + band, bottom + band), edge, -1)
-        cv2.rectangle(
-            wall, (left - band + 1, top - band + 1), (right + band - 1, bottom + band - 1), colour, -1
-        )
-        cv2.rectangle(
-            wall, (left - band // 3, top - band // 3), (right + band // 3, bottom + band // 3), edge, 1
-        )
+        cv2.rectangle(wall, (left - band + 1, top - band + 1), (right + band - 1, bottom + band - 1), colour, -1)
+        cv2.rectangle(wall, (left - band // 3, top - band // 3), (right + band // 3, bottom + band // 3), edge, 1)
     middle, high = (left + right) // 2, top - band
     if style.lintel == "keystone":
         key = np.array(
@@ -161,9 +162,7 @@ def draw_trim(
         cv2.fillPoly(wall, [key.astype(np.int32)], colour, cv2.LINE_AA)
         cv2.polylines(wall, [key.astype(np.int32)], True, edge, 1, cv2.LINE_AA)
     elif style.lintel == "pediment":
-        gable = np.array(
-            [(left - 2 * band, high), (middle, high - 3 * band), (right + 2 * band, high)], dtype=np.int32
-        )
+        gable = np.array([(left - 2 * band, high), (middle, high - 3 * band), (right + 2 * band, high)], dtype=np.int32)
         cv2.fillPoly(wall, [gable], colour, cv2.LINE_AA)
         cv2.polylines(wall, [gable], True, edge, max(1, band // 3), cv2.LINE_AA)
     elif style.lintel == "arch":
@@ -187,9 +186,7 @@ def carved_lintel(rng: np.random.Generator, style: WindowStyle, *, texels_per_m:
     """Return the relief above every window of a house, if its style has one."""
     if style.lintel != "carved":
         return None
-    return ornament(
-        rng, int(0.42 * texels_per_m), int((style.width_m + 0.2) * texels_per_m), style.trim_colour
-    )
+    return ornament(rng, int(0.42 * texels_per_m), int((style.width_m + 0.2) * texels_per_m), style.trim_colour)
 
 
 def paste(canvas: Image, patch: Image, left: int, top: int) -> None:

@@ -162,7 +162,7 @@ class WorldBuilder:
 def _halvings(image: Image) -> list[Image]:
     """Return an image with opacity, and its copies at 1/2, 1/4, ... of the size."""
     if image.shape[2] == 3:
-        image = np.dstack([image, np.full(image.shape[:2], 255, dtype=np.uint8)])
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2RGBA), dtype=np.uint8)
     images = [np.ascontiguousarray(image)]
     while len(images) < MAX_LEVELS and min(images[-1].shape[:2]) >= 2 * _MIN_LEVEL_SIDE:
         height, width = images[-1].shape[:2]
@@ -204,8 +204,16 @@ class Frame:
 
 
 def upright(
-    world: WorldBuilder, frame: Frame, a: tuple[float, float], b: tuple[float, float], c: float, texture: int,
-    *, area: tuple[float, float, float, float] = WHOLE, mirror: float = 0.0, views: int = BOTH_VIEWS,
+    world: WorldBuilder,
+    frame: Frame,
+    a: tuple[float, float],
+    b: tuple[float, float],
+    c: float,
+    *,
+    texture: int,
+    area: tuple[float, float, float, float] = WHOLE,
+    mirror: float = 0.0,
+    views: int = BOTH_VIEWS,
 ) -> None:
     """Add an upright rectangle that faces the viewer of `frame`: a[0] to a[1], b[0] up to b[1], at c."""
     across, down = frame.right * (a[1] - a[0]), np.array([0.0, b[1] - b[0], 0.0])
@@ -213,19 +221,25 @@ def upright(
 
 
 def box(
-    world: WorldBuilder, frame: Frame, a: tuple[float, float], b: tuple[float, float], c: tuple[float,
-    float], textures: int | tuple[int, int, int], *, area: tuple[float, float, float, float] = WHOLE, views:
-    int = BOTH_VIEWS,
+    world: WorldBuilder,
+    frame: Frame,
+    a: tuple[float, float],
+    b: tuple[float, float],
+    c: tuple[float, float],
+    *,
+    textures: int | tuple[int, int, int],
+    area: tuple[float, float, float, float] = WHOLE,
+    views: int = BOTH_VIEWS,
 ) -> None:
     """Add a box: textures of front and back, of the sides, and of top and bottom."""
     front, sides, top = (textures,) * 3 if isinstance(textures, int) else textures
-    upright(world, frame, a, b, c[1], front, area=area, views=views)
+    upright(world, frame, a, b, c[1], texture=front, area=area, views=views)
     back = Frame(frame.point(a[1], 0.0, c[0]), -frame.right, -frame.outward)
-    upright(world, back, (0.0, a[1] - a[0]), b, 0.0, front, area=area, views=views)
+    upright(world, back, (0.0, a[1] - a[0]), b, 0.0, texture=front, area=area, views=views)
     depth = c[1] - c[0]
-    upright(world, frame.side(a[1], c[1]), (0.0, depth), b, 0.0, sides, area=area, views=views)
+    upright(world, frame.side(a[1], c[1]), (0.0, depth), b, 0.0, texture=sides, area=area, views=views)
     left = Frame(frame.point(a[0], 0.0, c[0]), frame.outward, -frame.right)
-    upright(world, left, (0.0, depth), b, 0.0, sides, area=area, views=views)
+    upright(world, left, (0.0, depth), b, 0.0, texture=sides, area=area, views=views)
     across, inward = frame.right * (a[1] - a[0]), frame.outward * depth
     world.face(frame.point(a[0], b[1], c[0]), across, inward, top, area=area, views=views)
     world.face(frame.point(a[0], b[0], c[1]), across, -inward, top, area=area, views=views, brightness=0.7)

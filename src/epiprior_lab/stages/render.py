@@ -13,7 +13,7 @@ from epiprior_lab.scenes.photography import encode_jpeg
 from epiprior_lab.seeds import child_seed
 
 
-def render(pair_id: str, family: str, seed: int, width: int, height: int, jpeg_quality: int) -> PairFiles:
+def render(*, pair_id: str, family: str, seed: int, width: int, height: int, jpeg_quality: int) -> PairFiles:
     """Return one pair with its files encoded."""
     pair = render_pair(family, seed, width=width, height=height)
     seen = pair.difference
@@ -57,9 +57,7 @@ def main() -> None:
         for name in members
     ]
     store = Path("data/.tasks/render") / split
-    rendered = map_tasks(
-        render, tasks, workers=default_workers(), description=f"render, {split}", store=store
-    )
+    rendered = map_tasks(render, tasks, workers=default_workers(), description=f"render, {split}", store=store)
     by_name = {pair.pair_id: pair for pair in rendered}
     for family, members in names.items():
         write_pair_set(Path("data/scenes") / split / family, [by_name[name] for name in members])

@@ -1,0 +1,228 @@
+"""Steps 3b to 7 under one roll hypothesis: clusters, X, 2keypoints, votes, kpmd (paper, sections 4.2 to 4.6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from epiprior.clusters import Clusters, cluster_features
+from epiprior.features import describe_at_orientation
+from epiprior.frames import MatchFrames, match_frames
+from epiprior.pair import PreparedPair, both_images, unit_descriptors
+from epiprior.presets import DEFAULT, PreprocessSettings
+from epiprior.probabilities import MatchTable, StandardTable, Union, match_table, two_keypoint_scores, unite
+from epiprior.putative import PutativeMatches, putative_matches
+from epiprior.stopwatch import Stopwatch
+from epiprior.two_keypoints import (
+    TwoKeypointMatches,
+    best_two_keypoint_matches,
+    describe_two_keypoint_matches,
+    match_two_keypoints,
+    neighbourhoods,
+)
+from epiprior.types import Float32Array, FloatArray, IntArray
+from epiprior.votes import count_votes, frame_points, rough_fundamental_matrices
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidates:
+    """What one roll hypothesis proposes.
+
+    Parameters
+    ----------
+    roll_deg : float
+        The hypothesis.
+    fixed : tuple of ndarray
+        Unit descriptors of the locations of both images at its orientations.
+    X : PutativeMatches
+        Putative matches of locations.
+    frames : MatchFrames
+        Of the rows of X.
+    two_keypoints : TwoKeypointMatches
+        With their descriptors 2kpmd.
+    """
+
+    roll_deg: float
+    fixed: tuple[Float32Array, Float32Array]
+    X: PutativeMatches
+    frames: MatchFrames
+    two_keypoints: TwoKeypointMatches
+
+
+@dataclass(frozen=True, kw_only=True)
+class Votes:
+    """The rough fundamental matrices of one roll hypothesis and what they say of each row of X.
+
+    Parameters
+    ----------
+    matrices : ndarray, shape (P, 3, 3), float64
+        Working pixels.
+    chosen : ndarray, shape (K,), int64
+        The 2keypoint matches they come from, best first.
+    sfm : ndarray, shape (len(X),), int64
+        Number of supported matrices.
+    weighted : ndarray, shape (len(X),), float64
+        The same, each matrix weighted by the product of the probabilities of its two 2keypoint matches.
+    probability : ndarray, shape (T,), float64
+        Of all 2keypoint matches.
+    """
+
+    matrices: FloatArray
+    chosen: IntArray
+    sfm: IntArray
+    weighted: FloatArray
+    probability: FloatArray = field(repr=False)
+
+
+def find_candidates(
+    prepared: PreparedPair,
+    roll_deg: float,
+    settings: PreprocessSettings = DEFAULT,
+    watch: Stopwatch | None = None,
+) -> Candidates:
+    """Cluster the features, match clusters, match 2keypoints (sections 4.2 to 4.4), under one roll hypothesis."""
+    watch = watch or Stopwatch()
+
+    def describe(k: int) -> Float32Array:
+        features, photograph, first = (
+            prepared.features[k],
+            prepared.photographs[k],
+            prepared.locations[k].first,
+        )
+        if photograph is None:
+            return prepared.descriptors[k][first]
+        raw = describe_at_orientation(photograph, features.take(first), roll_deg if k else 0.0)
+        return unit_descriptors(raw, settings.features)
+
+    def cluster(k: int) -> Clusters:
+        return cluster_features(fixed[k], settings.min_cluster_similarity)
+
+    with watch.step("fixed orientation"):
+        fixed = both_images(describe)
+    with watch.step("clusters"):
+        clusters1, clusters2 = both_images(cluster)
+    with watch.step("putative matches"):
+        X = putative_matches(clusters1, clusters2, *fixed, settings.max_matches_per_cluster_pair)
+        frames = _frames(prepared, X.feature1, X.feature2, fixed, roll_deg)
+    with watch.step("2keypoints"):
+        two_keypoints = _two_keypoints(prepared, X, frames, (clusters1.label, clusters2.label), settings)
+    return Candidates(roll_deg=roll_deg, fixed=fixed, X=X, frames=frames, two_keypoints=two_keypoints)
+
+
+def _frames(
+    prepared: PreparedPair,
+    rows1: IntArray,
+    rows2: IntArray,
+    fixed: tuple[Float32Array, Float32Array],
+    roll_deg: float,
+) -> MatchFrames:
+    return match_frames(
+        rows1,
+        rows2,
+        prepared.locations,
+        prepared.orientation_rad,
+        prepared.descriptors,
+        fixed,
+        float(np.deg2rad(roll_deg)),
+    )
+
+
+def _two_keypoints(
+    prepared: PreparedPair,
+    X: PutativeMatches,
+    frames: MatchFrames,
+    labels: tuple[IntArray, IntArray],
+    settings: PreprocessSettings,
+) -> TwoKeypointMatches:
+    around = [
+        neighbourhoods(
+            place.xy,
+            place.scale,
+            label,
+            nearest=settings.nearest,
+            within=settings.within,
+            nearest_of_cluster=settings.nearest_of_cluster,
+            max_within=settings.max_within,
+        )
+        for place, label in zip(prepared.locations, labels, strict=True)
+    ]
+    main, other = match_two_keypoints(X, *around)
+    same = labels[0][X.feature1[main]] == labels[0][X.feature1[other]]
+    same &= labels[1][X.feature2[main]] == labels[1][X.feature2[other]]
+    return describe_two_keypoint_matches(X, frames, main, other, same, extended=settings.extended)
+
+
+def cast_votes(
+    frames: MatchFrames,
+    pairs: TwoKeypointMatches,
+    probability: FloatArray,
+    settings: PreprocessSettings = DEFAULT,
+) -> Votes:
+    """Choose the best 2keypoint matches, make a rough F of every two, count their votes (sections 4.4 and 4.5).
+
+    Parameters
+    ----------
+    frames : MatchFrames
+        Of the rows of X.
+    pairs : TwoKeypointMatches
+        T matches of 2keypoints.
+    probability : ndarray, shape (T,), float64
+        That each 2keypoint match is right.
+    settings : PreprocessSettings
+        The preset.
+    """
+    chosen = best_two_keypoint_matches(pairs, probability, settings.two_keypoint_count)
+    y1, y2 = frame_points(
+        frames, pairs.main[chosen], pairs.other[chosen], frame=settings.frame, radius=settings.frame_radius
+    )
+    F = rough_fundamental_matrices(y1, y2)
+    i, j = np.triu_indices(len(chosen), 1)
+    weights = probability[chosen][i] * probability[chosen][j]
+    sfm, weighted = count_votes(F, frames.x1, frames.x2, settings.vote_threshold, weights)
+    return Votes(matrices=F, chosen=chosen, sfm=sfm, weighted=weighted, probability=probability)
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitedMatches:
+    """X, X_L and X_B of one roll hypothesis together, with all of kpmd that does not depend on a classifier.
+
+    Parameters
+    ----------
+    union : Union
+        M matches of locations.
+    frames : MatchFrames
+        Of each match.
+    roll_error : ndarray, shape (M,), float64
+        Deviation of the match's turn from the roll hypothesis, radians in [0, pi].
+    scale_change : ndarray, shape (M,), float64
+        Size of the log of the scale change.
+    """
+
+    union: Union
+    frames: MatchFrames
+    roll_error: FloatArray
+    scale_change: FloatArray
+
+
+def unite_matches(prepared: PreparedPair, candidates: Candidates) -> UnitedMatches:
+    """Unite X, X_L and X_B (section 4.6)."""
+    union = unite(candidates.X, prepared.table)
+    frames = _frames(prepared, union.location1, union.location2, candidates.fixed, candidates.roll_deg)
+    turn = frames.orientation2_rad - frames.orientation1_rad - frames.roll_rad
+    return UnitedMatches(
+        union=union,
+        frames=frames,
+        roll_error=np.abs(np.angle(np.exp(1j * turn))),
+        scale_change=np.abs(np.log(frames.scale2 / frames.scale1)),
+    )
+
+
+def describe_matches(
+    united: UnitedMatches, table: StandardTable, two_keypoints: TwoKeypointMatches, votes: Votes
+) -> MatchTable:
+    """Describe every match by kpmd (section 4.6)."""
+    frames = united.frames
+    appearance = (frames.similarity, frames.fixed_similarity, united.roll_error, united.scale_change)
+    scores = two_keypoint_scores(two_keypoints, votes.probability, len(votes.sfm))
+    return match_table(united.union, table, votes.sfm, votes.weighted, scores, appearance)
