@@ -89,8 +89,7 @@ def _curves(rng, keys):
             for ranking, quality in RANKINGS.items():
                 right = np.cumsum(rng.random(10_000) < quality / (1 + np.arange(10_000) / 800))
                 rows += [
-                    _key(key) | {"preset": preset, "ranking": ranking, "rank": r, "right": right[r - 1]}
-                    for r in ranks
+                    _key(key) | {"preset": preset, "ranking": ranking, "rank": r, "right": right[r - 1]} for r in ranks
                 ]
     return rows
 
@@ -175,9 +174,7 @@ def _hand_over(rng):
                 for level in levels:
                     score = int(32 * EASE[name] + rng.integers(-3, 4))
                     row = {"estimator": estimator, "input": name, "step": step} | base | {step: level}
-                    trials.append(
-                        row | {"successes_10": score, "successes_3": score - 4, "area": 0.5, "chosen": False}
-                    )
+                    trials.append(row | {"successes_10": score, "successes_3": score - 4, "area": 0.5, "chosen": False})
             max(trials, key=lambda t: t["successes_10"])["chosen"] = True
             rows += trials
     return rows

@@ -152,17 +152,11 @@ def test_timings_feed_only_the_last_stage():
 
 def test_only_results_in_git_are_outside_the_cache():
     uncached = {
-        Path(out.fs_path).relative_to(ROOT).parts[0]
-        for stage in resolved()
-        for out in stage.outs
-        if not out.use_cache
+        Path(out.fs_path).relative_to(ROOT).parts[0] for stage in resolved() for out in stage.outs if not out.use_cache
     }
     assert uncached == {"models", "reports"}
     assert all(
-        Path(out.fs_path).is_relative_to(ROOT / "data")
-        for stage in resolved()
-        for out in stage.outs
-        if out.use_cache
+        Path(out.fs_path).is_relative_to(ROOT / "data") for stage in resolved() for out in stage.outs if out.use_cache
     )
 
 

@@ -91,18 +91,21 @@ def fit_sigmoid(score: FloatArray, labels: BoolArray) -> tuple[float, float]:
     target = np.where(labels, (right + 1) / (right + 2), 1 / (wrong + 2))
     spread = float(np.std(score)) or 1.0
     middle = float(np.mean(score))
-    design = np.column_stack([(score - middle) / spread, np.ones(len(score))])
-    theta = np.array([0.0, np.log((right + 1) / (wrong + 1))])
+    x = (np.asarray(score, np.float64) - middle) / spread
 
     def loss(at: FloatArray) -> float:
-        margin = design @ at
+        margin = at[0] * x + at[1]
         return float(np.sum(np.logaddexp(0.0, margin) - target * margin))
 
+    theta = np.array([0.0, np.log((right + 1) / (wrong + 1))])
     current = loss(theta)
     for _ in range(_ITERATIONS):
-        p = expit(design @ theta)
-        gradient = design.T @ (p - target)
-        hessian = (design * (p * (1 - p))[:, None]).T @ design + 1e-9 * np.eye(2)
+        p = expit(theta[0] * x + theta[1])
+        # Plain sums, no matrix products: those depend on the number of threads in the last bits.
+        error, weight = p - target, p * (1 - p)
+        gradient = np.array([np.sum(error * x), np.sum(error)])
+        mixed = float(np.sum(weight * x))
+        hessian = np.array([[np.sum(weight * x * x), mixed], [mixed, np.sum(weight)]]) + 1e-9 * np.eye(2)
         step = np.linalg.solve(hessian, gradient)
         size = 1.0
         while (proposed := loss(theta - size * step)) > current and size > 1e-10:

@@ -45,9 +45,7 @@ class Sample:
     size: int
 
     @classmethod
-    def draw(
-        cls, *, scene: str, pair: str, rows: Float32Array, labels: BoolArray, most: int, seed: int
-    ) -> Sample:
+    def draw(cls, *, scene: str, pair: str, rows: Float32Array, labels: BoolArray, most: int, seed: int) -> Sample:
         """Keep `most` rows at most, in their order."""
         size = len(rows)
         kept = np.arange(size)
@@ -210,9 +208,7 @@ def compare_families(
     for family in order:
         for by_family in found.values():
             by_family[family] = next(results)
-    return Comparison(
-        data=data, grouped=found["grouped"], ungrouped=found["ungrouped"], refits=found["refit"]
-    )
+    return Comparison(data=data, grouped=found["grouped"], ungrouped=found["ungrouped"], refits=found["refit"])
 
 
 def work(

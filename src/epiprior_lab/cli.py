@@ -31,9 +31,7 @@ def real(
 
 @app.command()
 def promote(
-    preset: Annotated[
-        str, typer.Argument(help="Preset whose classifiers become champions: paper or default.")
-    ],
+    preset: Annotated[str, typer.Argument(help="Preset whose classifiers become champions: paper or default.")],
 ) -> None:
     """Register a preset's newest exported classifiers in MLflow, with the alias `champion`."""
     from epiprior_lab import tracking
@@ -53,9 +51,7 @@ def check_lock(
     for stage, lines in sorted(differences.items()):
         typer.echo(f"{stage}: {'; '.join(lines)}")
     if differences:
-        typer.echo(
-            "dvc.lock does not belong to this tree: run `make repro` and commit its results.", err=True
-        )
+        typer.echo("dvc.lock does not belong to this tree: run `make repro` and commit its results.", err=True)
         raise typer.Exit(1)
     typer.echo("dvc.lock belongs to this code, these parameters and these results.")
 

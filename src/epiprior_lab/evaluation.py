@@ -302,10 +302,7 @@ def evaluate_pairs(
         "hand_overs": {e: dict(hand_overs[e]) for e in estimators},
         "labels": labels,
     }
-    tasks = [
-        Task(name=pair.pair_id, payload={"pair": pair, **settings}, files=(*pair.files, *files))
-        for pair in pairs
-    ]
+    tasks = [Task(name=pair.pair_id, payload={"pair": pair, **settings}, files=(*pair.files, *files)) for pair in pairs]
     description = f"evaluate {family}"
     parts = map_tasks(evaluate_pair, tasks, workers=workers, description=description, store=store)
     return PairEvaluation.join(parts)

@@ -304,6 +304,4 @@ def export_model(training: Path, folder: Path, preset: str) -> None:
             exported = classifier.uncalibrated(stored[f"{target}_rows"])
             difference = np.max(np.abs(exported - stored[f"{target}_probability"]), initial=0.0)
             if not difference <= PARITY:
-                raise ExportError(
-                    f"{folder / target}.onnx: differs from the fitted classifier by {difference:.2g}"
-                )
+                raise ExportError(f"{folder / target}.onnx: differs from the fitted classifier by {difference:.2g}")

@@ -11,14 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from epiprior.errors import SettingsError
-from epiprior.geometry import MIN_MATCHES, as_points, eight_point, sampson_distance
+from epiprior.geometry import MIN_MATCHES, as_points, eight_point, normalise_fundamental, sampson_distance
 from epiprior.types import BoolArray, Float32Array, FloatArray
 from epiprior_lab.datasets import Camera, DatasetError, Pair, covisible, depth_at, reproject
 
-_CORNER_OFFSETS = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=np.float64)
-_REFINEMENTS = 10
+_RIM_REACH_PX = (1.0, 4.0)
+_RIM_BEND = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,9 +96,11 @@ def label_matches(
     DatasetError
         If the pair's files are damaged, or nothing decides (see `reference_fundamental`).
 
-    Notes ----- A feature at the rim of an object may lie on the background, beside what it describes. So
-    the depth is read at the feature and at four points around it (half a sigma away, 1 to 4 px), and any of
-    them may confirm the match. Points at infinity (sky) are never right.
+    Notes
+    -----
+    A feature at the rim of an object may lie on the background, beside what it describes. So where there is a
+    rim within half a sigma (1 to 4 px), the depth on its other side may confirm the match as well. Points at
+    infinity (sky) are never right.
     """
     settings = settings or LabelSettings()
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
@@ -117,24 +121,33 @@ def _confirmed(
 ) -> BoolArray:
     """Return where a depth of the first image near ``x[0]`` leads to ``x[1]``, at a depth seen there."""
     tolerance = np.maximum(settings.tolerance_px, settings.tolerance_sigma * scales[1])
-    seen = [depth_at(depths[1], x[1] + offset) for offset in _offsets(scales[1])]
+    beside = _depths_at_rims(depths[1], x[1], scales[1])
     confirmed = np.zeros(len(x[0]), dtype=bool)
-    for offset in _offsets(scales[0]):
-        depth = depth_at(depths[0], x[0] + offset)
+    for depth in (depth_at(depths[0], x[0]), *_depths_at_rims(depths[0], x[0], scales[0])):
         known = np.isfinite(depth)
-        landed, depth2 = reproject(cameras[0], cameras[1], x[0], np.where(known, depth, 1.0))
+        landed, depth2 = reproject(*cameras, x[0], np.where(known, depth, 1.0))
         near = known & (depth2 > 0) & (np.linalg.norm(landed - x[1], axis=1) < tolerance)
         visible = np.zeros_like(near)
-        for other in seen:
+        for other in (depth_at(depths[1], landed), *beside):
             visible |= np.abs(other - depth2) < settings.depth_tolerance * np.abs(depth2)
         confirmed |= near & visible
     return confirmed
 
 
-def _offsets(scale: FloatArray) -> list[FloatArray]:
-    """Return where depth is read around features, each of shape (N, 2)."""
-    radius = np.clip(0.5 * scale, 1.0, 4.0)[:, None]
-    return [radius * offset for offset in _CORNER_OFFSETS]
+def _depths_at_rims(depth: Float32Array, x: FloatArray, scale: FloatArray) -> list[FloatArray]:
+    """Return the depths to the right, left, below and above of points, each (N,); inf where no rim is between.
+
+    Inverse depth is linear on a plane, so that a bend of it tells a rim from a slanted surface.
+    """
+    middle = 1.0 / depth_at(depth, x)
+    found = []
+    for axis in np.eye(2):
+        offset = np.clip(0.5 * scale, *_RIM_REACH_PX)[:, None] * axis
+        sides = [depth_at(depth, x + offset), depth_at(depth, x - offset)]
+        second, first = 1.0 / sides[0], 1.0 / sides[1]
+        bend = np.abs(first + second - 2 * middle) > _RIM_BEND * np.maximum.reduce([first, second, middle])
+        found += [np.where(bend, side, np.inf) for side in sides]
+    return found
 
 
 def reference_fundamental(pair: Pair) -> FloatArray:
@@ -146,8 +159,14 @@ def reference_fundamental(pair: Pair) -> FloatArray:
         If the cameras share their centre, or there are fewer than eight control points or they decide
         nothing.
 
-    Notes ----- The fit is the normalised eight-point algorithm, refined by reweighting to the Sampson
-    distance. On a pair whose control points lie on one plane it is one of many F that explain them.
+    Notes
+    -----
+    The fit is the normalised eight-point algorithm, refined to the least Sampson distances (robustly, 1 px). On a
+    pair whose control points lie on one plane it is one of many F that explain them.
+
+    References
+    ----------
+    Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 11.4.3.
     """
     F = pair.fundamental()
     if F is None and pair.camera1 is None:
@@ -159,17 +178,26 @@ def reference_fundamental(pair: Pair) -> FloatArray:
 
 
 def _fit(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
-    """Return the F of smallest Sampson distance found by reweighted eight-point estimates."""
+    """Return the F of smallest Sampson distances, from the eight-point estimate on; single bad points count less."""
     F = eight_point(x1, x2)
-    best = F
-    for _ in range(_REFINEMENTS):
-        if F is None or best is None:
-            return best
-        gradient_sq = ((x1 @ F[:, :2].T + F[:, 2])[:, :2] ** 2).sum(1) + ((x2 @ F[:2] + F[2])[:, :2] ** 2).sum(1)
-        F = eight_point(x1, x2, 1.0 / np.maximum(gradient_sq, 1e-12 * gradient_sq.max()))
-        if F is not None and (sampson_distance(F, x1, x2) ** 2).sum() < (sampson_distance(best, x1, x2) ** 2).sum():
-            best = F
-    return best
+    if F is None:
+        return None
+    # Both images about their middle and on one scale, so that all parameters matter alike.
+    scale = max(float(x1.std()), float(x2.std()), 1e-9)
+    middle1, middle2 = x1.mean(axis=0), x2.mean(axis=0)
+    T1, T2 = (np.array([[scale, 0, m[0]], [0, scale, m[1]], [0, 0, 1.0]]) for m in (middle1, middle2))
+    n1, n2 = (x1 - middle1) / scale, (x2 - middle2) / scale
+    U, s, Vt = np.linalg.svd(T2.T @ F @ T1)
+
+    def at(parameters: FloatArray) -> FloatArray:
+        turned = (Rotation.from_rotvec(parameters[k : k + 3]).as_matrix() for k in (0, 3))
+        return np.asarray(U @ next(turned) @ np.diag([1.0, parameters[6], 0.0]) @ next(turned) @ Vt)
+
+    start = np.append(np.zeros(6), s[1] / s[0])
+    found = least_squares(
+        lambda parameters: sampson_distance(at(parameters), n1, n2), start, loss="soft_l1", f_scale=1.0 / scale
+    )
+    return normalise_fundamental(np.linalg.inv(T2).T @ at(found.x) @ np.linalg.inv(T1))
 
 
 def errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:

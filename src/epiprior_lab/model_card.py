@@ -31,8 +31,7 @@ _CARD = """\
 
 Two classifiers that give putative matches of two photographs their probability of being right. epiprior
 loads them for the preset `{preset}`. Anything that runs ONNX can: each takes `rows`, float32 (N, C), and
-gives `probability`, float32 (N,), not calibrated yet; the calibrated one is `sigmoid(a * logit(probability) +
-b)`.
+gives `probability`, float32 (N,), not calibrated yet. Calibrated is `sigmoid(a * logit(probability) + b)`.
 
 | file | gives the probability that | is | columns | a | b |
 |---|---|---|---|---|---|
@@ -50,9 +49,8 @@ visibility. Of every pair a random sample of rows:
 
 Cross-validation grouped by scene: no scene is in training and test at once. The second classifier was trained
 and tested on votes of a first one that never saw the scene. A pair counts once per roll hypothesis. `mean` is
-over all rows or pairs, `deviation` over the folds, `calibrated` after Platt scaling fitted on the other
-folds. `ungrouped` deals rows out to folds one by one, as the paper does: what it shows above `mean` is
-leakage.
+over all rows or pairs, `deviation` over the folds, `calibrated` after Platt scaling fitted on other folds.
+`ungrouped` deals rows out to folds one by one, as the paper does: what it gains over `mean` is leakage.
 
 {tables}
 
@@ -93,9 +91,7 @@ def model_card(manifest: Mapping[str, Any]) -> str:
         data=manifest["training_data"],
         files="\n".join(_file_row(target, manifest[target]) for target in _TARGET_WORDS),
         tables="\n\n".join(_table(target, manifest[target]["metrics"]) for target in _TARGET_WORDS),
-        columns="\n".join(
-            f"- `{target}`: {', '.join(manifest[target]['features'])}" for target in _TARGET_WORDS
-        ),
+        columns="\n".join(f"- `{target}`: {', '.join(manifest[target]['features'])}" for target in _TARGET_WORDS),
         versions=", ".join(f"{library} {number}" for library, number in manifest["library_versions"].items()),
     )
 

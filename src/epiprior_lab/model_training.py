@@ -48,9 +48,7 @@ class PresetTraining:
         return self.two_keypoint, self.match
 
 
-def train_preset(
-    folder: Path, preset: str, params: TrainParams, *, workers: int, store: Path
-) -> PresetTraining:
+def train_preset(folder: Path, preset: str, params: TrainParams, *, workers: int, store: Path) -> PresetTraining:
     """Train both classifiers of a preset.
 
     Parameters
@@ -107,14 +105,10 @@ def train_preset(
     )
     by_pair = {sample.pair: sample for fold in found for sample in fold}
     data = TargetRows.stack("match", match_columns(preset), [by_pair[sample.pair] for sample in samples])
-    return PresetTraining(
-        family=exported, two_keypoint=first, match=_compare(data, params, caps, workers, store)
-    )
+    return PresetTraining(family=exported, two_keypoint=first, match=_compare(data, params, caps, workers, store))
 
 
-def _compare(
-    data: TargetRows, params: TrainParams, caps: Mapping[str, int], workers: int, store: Path
-) -> Comparison:
+def _compare(data: TargetRows, params: TrainParams, caps: Mapping[str, int], workers: int, store: Path) -> Comparison:
     return compare_families(
         data,
         families=params.families,
@@ -158,9 +152,7 @@ def _match_tasks(
     for number in range(int(fold.max()) + 1):
         # A scene without a single 2keypoint match is in no fold: every classifier is out of its folds.
         held = [
-            file
-            for file, sample in zip(files, samples, strict=True)
-            if fold_of_scene.get(sample.scene, 0) == number
+            file for file, sample in zip(files, samples, strict=True) if fold_of_scene.get(sample.scene, 0) == number
         ]
         payload = {**shared, "files": held, "number": number}
         tasks.append(Task(name=f"fold-{number}", payload=payload, files=(rows, *held)))

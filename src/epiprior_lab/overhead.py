@@ -32,9 +32,7 @@ TIMED_INPUTS = ("standard", "paper", "default")
 _MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
-def measure_pair(
-    pair: Pair, estimators: Sequence[str], hand_overs: HandOvers, seeds: Sequence[int]
-) -> list[Row]:
+def measure_pair(pair: Pair, estimators: Sequence[str], hand_overs: HandOvers, seeds: Sequence[int]) -> list[Row]:
     """Time matching and estimation of one pair.
 
     Parameters

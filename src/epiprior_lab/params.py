@@ -117,9 +117,7 @@ class TrainParams(Section):
         super().__post_init__()
         for preset, family in dataclasses.asdict(self.exported).items():
             if family not in self.families:
-                raise SettingsError(
-                    f"exported.{preset} = {family!r}: not among families {list(self.families)}"
-                )
+                raise SettingsError(f"exported.{preset} = {family!r}: not among families {list(self.families)}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,9 +48,7 @@ def ranking_orders(matches: MatchSet) -> dict[str, IntArray]:
 
     def order(score: np.ndarray[Any, Any], member: BoolArray) -> IntArray:
         index = np.flatnonzero(member)
-        return np.asarray(
-            index[np.lexsort((matches.feature2[index], matches.feature1[index], -score[index]))]
-        )
+        return np.asarray(index[np.lexsort((matches.feature2[index], matches.feature1[index], -score[index]))])
 
     return {
         "lowe": order(-matches.distance_ratio, matches.distance_ratio < 1),

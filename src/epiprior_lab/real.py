@@ -109,8 +109,10 @@ def run_real(
         console.print(summary(pd.DataFrame(of_set), title=root.name))
         rows += of_set
     table = pd.DataFrame(rows)
-    if table["set"].nunique() > 1:
-        console.print(summary(table, title="all sets"))
+    # Where there are no control points errors mean something else; such sets stay apart.
+    measured = table[table["points"] == "control_points"]
+    if measured["set"].nunique() > 1:
+        console.print(summary(measured, title="all sets with control points"))
     write_rows(rows, out)
     return table
 
@@ -183,6 +185,7 @@ def evaluate_photographs(
                     "set": set_name,
                     "pair_id": pair.pair_id,
                     "scene": pair.scene,
+                    "points": "cameras" if pair.control_points_path is None else "control_points",
                     "input": name,
                     "seed": seed,
                     "matches": len(hand_over(best, hand_overs[name])),
@@ -196,10 +199,7 @@ def evaluate_photographs(
 def best_set(matches: PairMatches, name: str, how: HandOver) -> MatchSet:
     """Return the one-to-one ranking of the roll hypothesis whose top 100 are the most probable."""
     sets = [matches.one_to_one() for matches in matches.sets[name]]
-    cut = [
-        s if how.max_distance_ratio is None else s.take(s.distance_ratio <= how.max_distance_ratio)
-        for s in sets
-    ]
+    cut = [s if how.max_distance_ratio is None else s.take(s.distance_ratio <= how.max_distance_ratio) for s in sets]
     return max(cut, key=lambda s: float(np.nansum(s.probability[:TOP])))
 
 
@@ -259,17 +259,30 @@ def _on_line(line: FloatArray, camera: Camera, number: int) -> FloatArray | None
 
 
 def summarise(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per input: mean precision of the top 100, and successes per threshold."""
+    """Return one row per input.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        As from `evaluate_photographs`.
+
+    Returns
+    -------
+    DataFrame
+        ``pairs``, ``precision_100`` (mean over pairs), ``successes_<threshold>`` (pairs, mean over seeds) and
+        ``scene_share`` (share of successes at the first threshold per scene, mean over scenes: pairs of one
+        scene are alike, and some scenes have many).
+    """
     out = []
     for name in INPUTS:
         part = rows[rows["input"] == name]
         errors = part["error_px"].where(part["status"] == "ok")
-        line: Row = {"input": name, "pairs": part["pair_id"].nunique()}
+        line: Row = {"input": name, "pairs": len(part.groupby(["set", "pair_id"]))}
         line["precision_100"] = float(part.groupby(["set", "pair_id"])["precision_100"].first().mean())
         for threshold in THRESHOLDS_PX:
-            line[f"successes_{threshold:g}"] = float(
-                successes(errors, threshold).sum() / part["seed"].nunique()
-            )
+            line[f"successes_{threshold:g}"] = float(successes(errors, threshold).sum() / part["seed"].nunique())
+        right = part.assign(right=successes(errors, THRESHOLDS_PX[0]))
+        line["scene_share"] = float(right.groupby(["set", "scene"])["right"].mean().mean())
         out.append(line)
     return pd.DataFrame(out)
 
@@ -277,17 +290,19 @@ def summarise(rows: pd.DataFrame) -> pd.DataFrame:
 def summary(rows: pd.DataFrame, *, title: str) -> Table:
     """Return a table for the terminal; the best number of each column is bold."""
     numbers = summarise(rows)
-    pairs = rows.groupby("set")["pair_id"].nunique().sum()
-    table = Table(title=f"{title}, {pairs} pairs", title_justify="left")
+    formats = {"precision_100": "{:.2f}", **{f"successes_{t:g}": "{:.1f}" for t in THRESHOLDS_PX}}
+    formats["scene_share"] = "{:.0%}"
+    table = Table(title=f"{title}, {numbers['pairs'].max()} pairs", title_justify="left")
     table.add_column("input")
     table.add_column("top 100 right", justify="right")
-    columns = ["precision_100", *(f"successes_{t:g}" for t in THRESHOLDS_PX)]
     for threshold in THRESHOLDS_PX:
         table.add_column(f"below {threshold:g} px", justify="right")
+    table.add_column(f"{THRESHOLDS_PX[0]:g} px, per scene", justify="right")
     for _, line in numbers.iterrows():
         cells = []
-        for column in columns:
-            text = f"{line[column]:.2f}" if column == "precision_100" else f"{line[column]:.1f}"
-            cells.append(f"[bold]{text}[/bold]" if line[column] == numbers[column].max() else text)
+        for column, style in formats.items():
+            text = style.format(line[column])
+            best = style.format(numbers[column].max())
+            cells.append(f"[bold]{text}[/bold]" if text == best else text)
         table.add_row(TITLES[str(line["input"])], *cells)
     return table

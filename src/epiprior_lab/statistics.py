@@ -106,9 +106,7 @@ def bootstrap_weights(n: int, *, draws: int, seed: int, groups: Sequence[str] | 
         raise SettingsError(f"bootstrap: {len(groups)} groups for {n} observations")
     _, group = np.unique(np.arange(n) if groups is None else np.asarray(groups, str), return_inverse=True)
     number = int(group.max()) + 1
-    counts = np.random.default_rng(seed).multinomial(number, np.full(number, 1 / number), size=draws)[
-        :, group
-    ]
+    counts = np.random.default_rng(seed).multinomial(number, np.full(number, 1 / number), size=draws)[:, group]
     return np.asarray(counts / counts.sum(axis=1, keepdims=True))
 
 
@@ -176,9 +174,7 @@ def paired_bootstrap(
         without=_interval(a.mean(), means_a, level),
         with_step=_interval(b.mean(), means_b, level),
         difference=_interval((b - a).mean(), means_b - means_a, level),
-        contribution=_interval(
-            float(contribution(a.mean(), b.mean())), contribution(means_a, means_b), level
-        ),
+        contribution=_interval(float(contribution(a.mean(), b.mean())), contribution(means_a, means_b), level),
     )
 
 

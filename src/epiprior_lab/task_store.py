@@ -36,9 +36,7 @@ class ContentKeys:
     def __init__(self, function: Callable[..., Any]) -> None:
         module = sys.modules[function.__module__]
         if module.__file__ is None:
-            raise SettingsError(
-                f"function {function.__qualname__}: module {module.__name__} has no source file"
-            )
+            raise SettingsError(f"function {function.__qualname__}: module {module.__name__} has no source file")
         self._common = hashlib.sha256("\0".join([*_names(function), *_environment()]).encode())
         self._common.update(_source_digest(source_files(Path(module.__file__).resolve())))
         self._files: dict[Path, bytes] = {}

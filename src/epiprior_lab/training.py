@@ -217,9 +217,7 @@ def fit_without(
     return fit(family, X[~held], y[~held], seed=child_seed(seed, family, str(number)), max_rows=max_rows)
 
 
-def fit_final(
-    family: str, X: Float32Array, y: BoolArray, *, seed: int, max_rows: int | None = None
-) -> Fitted:
+def fit_final(family: str, X: Float32Array, y: BoolArray, *, seed: int, max_rows: int | None = None) -> Fitted:
     """Fit a family on all rows: the classifier that is exported. Parameters as in `cross_validate`."""
     return fit(family, X, y, seed=child_seed(seed, family, "final"), max_rows=max_rows)
 

@@ -130,9 +130,9 @@ def importances_csv(comparisons: Iterable[Comparison]) -> str:
     for comparison in comparisons:
         for family in sorted(comparison.refits):
             importances = comparison.refits[family].importances
-            for column, value in zip(
-                comparison.data.columns, () if importances is None else importances, strict=False
-            ):
+            if importances is None:
+                continue
+            for column, value in zip(comparison.data.columns, importances, strict=True):
                 lines.append((comparison.data.target, family, column, f"{value:.6g}"))
     return _csv(lines)
 

@@ -80,9 +80,7 @@ def test_reliability_by_hand():
     np.testing.assert_allclose(curve.predicted, [0.05, 0.3, 1.0])
     np.testing.assert_allclose(curve.observed, [0.5, 0.0, 1.0])
     assert curve.count.tolist() == [2, 1, 1]
-    error = expected_calibration_error(
-        np.array([0.0, 0.1, 0.3, 1.0]), np.array([False, True, False, True]), bins=4
-    )
+    error = expected_calibration_error(np.array([0.0, 0.1, 0.3, 1.0]), np.array([False, True, False, True]), bins=4)
     assert error == pytest.approx((2 * 0.45 + 0.3 + 0) / 4)
 
 

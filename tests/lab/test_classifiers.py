@@ -81,12 +81,13 @@ def test_the_digest_tells_rows_apart():
 
 def test_all_families_are_compared(tmp_path):
     found = compare(tmp_path, families=tuple(FAMILIES))
+    assert found.calibration("tree").a > 0
     assert set(found.grouped) == set(found.ungrouped) == set(found.refits) == set(FAMILIES)
     for family in FAMILIES:
         assert found.grouped[family].family == family
         assert found.grouped[family].grouped
         assert not found.ungrouped[family].grouped
-        assert found.calibration(family).a > 0
+        assert found.grouped[family].probability.shape == found.data.labels.shape
         assert len(found.refits[family].parity_rows) == len(found.refits[family].parity_probability)
 
 

@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 
 import epiprior.preprocess
+from epiprior.baselines import snn_matches
 from epiprior.errors import SettingsError
 from epiprior.estimate import estimate_from_matches
 from epiprior.features import FeatureSettings
 from epiprior.geometry import sampson_distance
 from epiprior.handover import HandOver, load_hand_overs
 from epiprior.models import load_model
-from epiprior.baselines import snn_matches
 from epiprior.preprocess import rank_matches
 from epiprior.presets import find_preset
 from epiprior.types import MatchSet
@@ -108,9 +108,7 @@ def test_rows_of_a_pair(pairs, hand_overs, tiny_model, tmp_path):
     assert table["error_px"].isna().sum() == runs
     evaluate(pairs, hand_overs, store=tmp_path / "store").write(tmp_path / "again")
     for name in ("results", "rankings", "ranking_curves", "roll", "calibration"):
-        assert (tmp_path / "again" / f"{name}.csv").read_bytes() == (
-            tmp_path / "out" / f"{name}.csv"
-        ).read_bytes()
+        assert (tmp_path / "again" / f"{name}.csv").read_bytes() == (tmp_path / "out" / f"{name}.csv").read_bytes()
 
 
 def test_rankings_roll_and_calibration_of_a_pair(pairs, hand_overs, tiny_model):
@@ -192,9 +190,7 @@ def test_true_roll_turns_directions_of_the_image(degrees, tmp_path):
     K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
     first = Camera(K=K, R=np.eye(3), t=np.zeros(3), width=640, height=480)
     second = Camera(K=K, R=R, t=np.array([0.1, 0, 0]), width=640, height=480)
-    pair = Pair(
-        pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=first, camera2=second, difficulty=""
-    )
+    pair = Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=first, camera2=second, difficulty="")
     # A direction to the right in image 1 points down in image 2 after 90 degrees: clockwise on the screen.
     ahead, right = np.array([[0.0, 0, 1e6], [1e3, 0, 1e6]])
     step = second.project(right[None])[0] - second.project(ahead[None])[0]

@@ -87,9 +87,7 @@ def doubled(work, tmp_path):
         log.write_text("")
         tasks = [Task(name=f"pair {v}", payload={"value": v, "log": log}) for v in values]
         store = tmp_path / "store"
-        results = map_tasks(
-            work.double, tasks, workers=workers, description="doubling", store=store, **options
-        )
+        results = map_tasks(work.double, tasks, workers=workers, description="doubling", store=store, **options)
         return results, sorted(int(line) for line in log.read_text().split())
 
     return doubled
@@ -251,9 +249,7 @@ def test_equal_payloads_have_equal_keys_and_others_differ(work):
 
 def test_bad_calls_are_named(work, tmp_path):
     def call(task, *more, workers=1):
-        map_tasks(
-            work.double, [task, *more], workers=workers, description="doubling", store=tmp_path / "store"
-        )
+        map_tasks(work.double, [task, *more], workers=workers, description="doubling", store=tmp_path / "store")
 
     with pytest.raises(SettingsError, match="workers = 0"):
         call(Task(name="a"), workers=0)

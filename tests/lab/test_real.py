@@ -36,9 +36,7 @@ def datasets(tmp_path):
 def camera_pair(tmp_path, t):
     first = Camera(K=K, R=np.eye(3), t=np.zeros(3), width=WIDTH, height=HEIGHT)
     second = Camera(K=K, R=rotation((0.1, 1, 0.2), 15), t=np.asarray(t), width=WIDTH, height=HEIGHT)
-    return Pair(
-        pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=first, camera2=second, difficulty=""
-    )
+    return Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=first, camera2=second, difficulty="")
 
 
 def test_points_of_a_pair_with_cameras_only(tmp_path):
@@ -55,9 +53,7 @@ def test_points_of_a_pair_with_cameras_only(tmp_path):
 
 
 def test_a_pair_without_any_truth_is_refused(tmp_path):
-    pair = Pair(
-        pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=None, camera2=None, difficulty=""
-    )
+    pair = Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=None, camera2=None, difficulty="")
     with pytest.raises(DatasetError, match="'p'"):
         real.evaluation_points(pair)
 
@@ -81,6 +77,7 @@ def test_run_real(datasets, tmp_path, monkeypatch):
     console.file.close()
     text = console.export_text()
     assert "relief, 1 pairs" in text
+    assert "all sets" not in text
     table = pd.read_csv(out)
     assert len(table) == 3 * 2
     assert set(table["input"]) == set(real.INPUTS)
@@ -93,6 +90,7 @@ def test_summary_counts_failures():
     rows = pd.DataFrame(
         {
             "set": "a",
+            "scene": ["s", "s", "t", "t"] * 3,
             "pair_id": ["p", "p", "q", "q"] * 3,
             "input": np.repeat(real.INPUTS, 4),
             "seed": [0, 1, 0, 1] * 3,
@@ -107,3 +105,8 @@ def test_summary_counts_failures():
     assert got.loc["snn", "successes_10"] == 1.0
     assert got.loc["snn", "successes_3"] == 0.5
     assert got.loc["default", "successes_10"] == 1.5  # an error beside a failed status counts as a failure
+    assert got.loc["snn", "scene_share"] == 0.5
+    assert got.loc["default", "scene_share"] == 0.75
+    uneven = pd.concat([rows, rows[rows["pair_id"] == "p"].assign(pair_id="r")])
+    assert real.summarise(uneven).set_index("input").loc["snn", "scene_share"] == 0.5
+    assert real.summarise(uneven).set_index("input").loc["snn", "pairs"] == 3

@@ -67,9 +67,7 @@ def test_performance_equals_counts_by_hand(root, written, threshold):
         for estimator in ESTIMATORS:
             row = table.loc[(family, estimator)]
             counts = {
-                name: naive_successes(
-                    chosen[(chosen["estimator"] == estimator) & (chosen["input"] == name)], threshold
-                )
+                name: naive_successes(chosen[(chosen["estimator"] == estimator) & (chosen["input"] == name)], threshold)
                 for name in INPUTS
             }
             for name in INPUTS:
@@ -121,11 +119,7 @@ def test_ranking_and_calibration_tables(root, written):
     bins = pd.read_csv(root / "data" / "evaluation" / "open" / "calibration.csv")
     bins = bins[bins["preset"] == "paper"].groupby("bin").sum(numeric_only=True)
     error = sum(abs(b.probability - b.right) for b in bins.itertuples()) / bins["count"].sum()
-    row = (
-        pd.read_csv(root / "reports" / "calibration.csv")
-        .set_index(["preset", "family"])
-        .loc[("paper", "open")]
-    )
+    row = pd.read_csv(root / "reports" / "calibration.csv").set_index(["preset", "family"]).loc[("paper", "open")]
     assert row["expected_calibration_error"] == pytest.approx(error, rel=1e-5)
     assert row["brier_score"] == pytest.approx(bins["squared_error"].sum() / bins["count"].sum(), rel=1e-5)
 
@@ -180,7 +174,8 @@ def test_page_is_whole(root, written):
     # Only timings are outside of the file; the stage that writes them uses these names.
     outside = [link for link in (*page.links, *page.images) if not link.startswith(("#", "data:"))]
     assert outside == ["timings/overhead.csv", "timings/overhead.png"]
-    assert sum(image.startswith("data:image/png;base64,") for image in page.images) == 8
+    assert sum(image.startswith("data:image/png;base64,") for image in page.images) == 7
+    assert sum(image.startswith("data:image/jpeg;base64,") for image in page.images) == 1
     table = pd.read_csv(root / "reports" / "performance.csv")
     for cell in table["default"]:
         assert f"{cell:.1f} ±" in text

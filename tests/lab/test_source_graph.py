@@ -30,9 +30,7 @@ def reached(tmp_path):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    return lambda name: {
-        file.relative_to(tmp_path).as_posix() for file in source_files(tmp_path / name, tmp_path)
-    }
+    return lambda name: {file.relative_to(tmp_path).as_posix() for file in source_files(tmp_path / name, tmp_path)}
 
 
 def test_imports_are_followed_through_packages_functions_relative_names_and_cycles(reached):

@@ -173,9 +173,7 @@ def test_average_precision_is_scikit_learns():
     rng = np.random.default_rng(0)
     labels = rng.random(500) < 0.2
     probability = np.round(rng.random(500) * 0.5 + 0.3 * labels, 2)  # with ties
-    assert average_precision(probability, labels) == pytest.approx(
-        average_precision_score(labels, probability)
-    )
+    assert average_precision(probability, labels) == pytest.approx(average_precision_score(labels, probability))
     assert np.isnan(average_precision(probability, np.zeros(500, bool)))
 
 
@@ -195,9 +193,7 @@ def test_every_pair_counts_the_same():
     found = ranking_metrics(probability, labels, pair)
     assert found["precision_top_100"] == pytest.approx((1 + 0.5 + 0) / 3)
     assert found["average_precision"] == pytest.approx((1 + 0.5) / 2)
-    assert all(
-        np.isnan(value) for value in ranking_metrics(np.empty(0), np.empty(0, bool), pair[:0]).values()
-    )
+    assert all(np.isnan(value) for value in ranking_metrics(np.empty(0), np.empty(0, bool), pair[:0]).values())
 
 
 def test_a_sample_estimates_the_top_of_all_rows():

@@ -9,6 +9,8 @@ import numpy as np
 from epiprior.types import BoolArray, Float32Array, FloatArray
 from epiprior_lab.datasets.cameras import Camera, reproject
 
+_SMOOTH_RATIO = 1.3
+
 
 @dataclass(frozen=True, kw_only=True)
 class ViewDifference:
@@ -33,13 +35,35 @@ class ViewDifference:
 
 
 def depth_at(depth: Float32Array, x: FloatArray) -> FloatArray:
-    """Return the depth at the pixel nearest to each point, shape (N,); inf outside and where nothing is."""
+    """Return the depth seen at points between pixel centres.
+
+    Parameters
+    ----------
+    depth : ndarray, shape (height, width), float32
+        Depth at pixel centres, inf where nothing is seen.
+    x : ndarray, shape (N, 2), float64
+        Points, pixels; they may lie outside or be NaN.
+
+    Returns
+    -------
+    ndarray, shape (N,), float64
+        Inverse depth is interpolated, which is exact on a plane. Where the four pixels around differ by more than
+        30 %, at the rim of something, the nearest pixel decides. Inf outside the image and where nothing is seen.
+    """
     height, width = depth.shape
     # Clipped before the conversion to integers, which is undefined for huge numbers and NaN.
-    column, row = (np.rint(np.clip(np.nan_to_num(x[:, k], nan=-9.0), -9.0, 1e6)).astype(np.int64) for k in (0, 1))
+    clipped = np.clip(np.nan_to_num(x, nan=-9.0), -9.0, 1e6)
+    column, row = np.rint(clipped).astype(np.int64).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     values = np.full(len(x), np.inf)
     values[inside] = depth[row[inside], column[inside]]
+    corner = np.clip(np.floor(clipped).astype(np.int64), 0, (width - 2, height - 2)).T
+    a, b = np.clip(clipped.T - corner, 0.0, 1.0)
+    four = [depth[corner[1] + dy, corner[0] + dx].astype(np.float64) for dy in (0, 1) for dx in (0, 1)]
+    smooth = inside & (np.maximum.reduce(four) < _SMOOTH_RATIO * np.minimum.reduce(four))
+    weights = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+    inverse = sum(weight / value for weight, value in zip(weights, four, strict=True))
+    values[smooth] = 1.0 / np.asarray(inverse)[smooth]
     return values
 
 

@@ -86,13 +86,9 @@ def success_figure(study: Study, path: Path, limit_px: float = CURVE_LIMIT_PX) -
                     errors = errors_of(of_family, estimator=estimator, input=name).to_numpy()
                     look = look_of(INPUT_LOOKS, name, k)
                     axis.plot(grid, success_curve(errors, grid)[0], color=look.colour, ls=look.line, lw=1.6)
-                    at = bars + 0.22 * (
-                        k - (len(inputs) - 1) / 2
-                    )  # side by side, so that bars do not hide bars
+                    at = bars + 0.22 * (k - (len(inputs) - 1) / 2)  # side by side, so that bars do not hide bars
                     mean, deviation = success_curve(errors, at)
-                    axis.errorbar(
-                        at, mean, deviation, fmt="none", ecolor=look.colour, elinewidth=0.9, alpha=0.8
-                    )
+                    axis.errorbar(at, mean, deviation, fmt="none", ecolor=look.colour, elinewidth=0.9, alpha=0.8)
                 axis.axvline(10, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
                 axis.set(xlim=(0, limit_px), ylim=(0, pairs * 1.02))
                 if row is axes[0]:
@@ -190,8 +186,8 @@ def calibration_figure(study: Study, path: Path) -> Path:
             lower.set(yscale="log", xlim=(0, 1), xlabel="stated probability")
             brier, gap = sums.brier_score, sums.expected_calibration_error
             upper.set(title=f"preset {preset}", ylim=(0, 1))
-            note = f"Brier score {brier:.4f}\nexpected calibration error {gap:.4f}"
-            upper.text(0.97, 0.05, note, transform=upper.transAxes, ha="right", va="bottom", color=INK)
+            note = f"Brier {brier:.4f}, calibration error {gap:.4f}"
+            upper.set_title(note, loc="right", fontsize=8, fontweight="normal")
         axes[0][0].set_ylabel("share of right matches")
         axes[1][0].set_ylabel("matches of all test pairs")
         axes[0][0].legend(loc="upper left")
@@ -203,9 +199,7 @@ def _reliability(axis: Axes, part: pd.DataFrame, label: str, colour: str) -> Non
     sums = calibration_sums(part)
     enough = sums.count >= 20  # the share of a few matches says nothing
     stated = sums.probability[enough] / sums.count[enough]
-    axis.plot(
-        stated, sums.right[enough] / sums.count[enough], color=colour, marker="o", ms=3.5, lw=1.4, label=label
-    )
+    axis.plot(stated, sums.right[enough] / sums.count[enough], color=colour, marker="o", ms=3.5, lw=1.4, label=label)
 
 
 def hand_over_figure(study: Study, path: Path) -> Path:

@@ -12,18 +12,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import jinja2
 import numpy as np
 import pandas as pd
 
 import epiprior
 from epiprior_lab.reports.classifier_figure import METRIC_NAMES, TARGET_NAMES
-from epiprior_lab.reports.study import order_of
+from epiprior_lab.reports.study import ReportError, order_of
 from epiprior_lab.reports.style import INPUT_LOOKS, RANKING_LOOKS
 from epiprior_lab.reports.tables import ALL, COMPARISONS, contribution_cell
 
 TIMING_FIGURE = "timings/overhead.png"
 TIMING_TABLE = "timings/overhead.csv"
+PHOTOGRAPHS = "contact_sheet"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +82,7 @@ def write_page(
     )
     page = environment.get_template("page.html.j2").render(
         version=epiprior.__version__,
-        images={name: _data_uri(file) for name, file in figures.items()},
+        images={name: _data_uri(file, photographs=name == PHOTOGRAPHS) for name, file in figures.items()},
         performance=[_performance_block(tables.performance, t) for t in (success_px, strict_px)],
         headline=_headline(tables.performance, success_px),
         rankings=_ranking_rows(tables.rankings),
@@ -98,8 +100,15 @@ def write_page(
     return path
 
 
-def _data_uri(file: Path) -> str:
-    return "data:image/png;base64," + base64.b64encode(file.read_bytes()).decode("ascii")
+def _data_uri(file: Path, *, photographs: bool) -> str:
+    """Return a figure as part of the page; photographs as JPEG, a tenth of the size."""
+    content, kind = file.read_bytes(), "png"
+    if photographs:
+        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        if pixels is None:
+            raise ReportError(f"{file}: cannot be read as an image")
+        content, kind = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes(), "jpeg"
+    return f"data:image/{kind};base64," + base64.b64encode(content).decode("ascii")
 
 
 def _headline(table: pd.DataFrame, threshold_px: float) -> list[dict[str, Any]]:
@@ -126,10 +135,7 @@ def _performance_block(table: pd.DataFrame, threshold_px: float) -> dict[str, An
         rows = []
         for row in at[at["family"] == family].to_dict("records"):
             best = max(round(row[name], 6) for name in inputs)
-            cells = [
-                {"text": f"{row[n]:.1f} ± {row[f'{n}_sd']:.1f}", "best": round(row[n], 6) == best}
-                for n in inputs
-            ]
+            cells = [{"text": f"{row[n]:.1f} ± {row[f'{n}_sd']:.1f}", "best": round(row[n], 6) == best} for n in inputs]
             changes = [contribution_cell(row, f"{b}_over_{a}") for a, b in pairs]
             rows.append({"estimator": row["estimator"], "cells": cells, "changes": changes})
         number = int(at.loc[at["family"] == family, "pairs"].max())
@@ -140,8 +146,7 @@ def _performance_block(table: pd.DataFrame, threshold_px: float) -> dict[str, An
 def _ranking_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     everything = table[table["family"] == ALL]
     return [
-        row
-        | {"name": RANKING_LOOKS[row["ranking"]].label if row["ranking"] in RANKING_LOOKS else row["ranking"]}
+        row | {"name": RANKING_LOOKS[row["ranking"]].label if row["ranking"] in RANKING_LOOKS else row["ranking"]}
         for row in ({str(k): v for k, v in r.items()} for r in everything.to_dict("records"))
     ]
 

@@ -64,9 +64,7 @@ def write_report(study: Study, contact_sheet: Path, out: Path, params: ReportPar
     (out / "performance.md").write_text(markdown, encoding="utf-8", newline="\n")
     at = out / "figures"
     drawn = {
-        "performance": figures.performance_figure(
-            tables.performance, params.success_px, at / "performance.png"
-        ),
+        "performance": figures.performance_figure(tables.performance, params.success_px, at / "performance.png"),
         "successes": figures.success_figure(study, at / "successes.png"),
         "rankings": figures.ranking_figure(study, at / "rankings.png"),
         "roll": figures.roll_figure(study, at / "roll.png"),

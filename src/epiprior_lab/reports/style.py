@@ -126,9 +126,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 def legend(figure: Figure, looks: Mapping[str, Look], names: list[str]) -> None:
     """Put one legend for all axes above them."""
-    handles = [
-        Line2D([], [], color=looks[n].colour, linestyle=looks[n].line, label=looks[n].label) for n in names
-    ]
+    handles = [Line2D([], [], color=looks[n].colour, linestyle=looks[n].line, label=looks[n].label) for n in names]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=2.6)
 
 

@@ -29,18 +29,14 @@ def main() -> None:
     out = Path("data/features") / preset
     out.mkdir(parents=True, exist_ok=True)
     pairs = [
-        pair
-        for family in params.scenes.families
-        for pair in read_pair_set(Path("data/scenes/train") / family).pairs
+        pair for family in params.scenes.families for pair in read_pair_set(Path("data/scenes/train") / family).pairs
     ]
     tasks = [
         Task(name=pair.pair_id, payload={"pair": pair, "preset": preset, "labels": labels}, files=pair.files)
         for pair in pairs
     ]
     store = Path("data/.tasks/features") / preset
-    found = map_tasks(
-        extract, tasks, workers=default_workers(), description=f"features, preset {preset}", store=store
-    )
+    found = map_tasks(extract, tasks, workers=default_workers(), description=f"features, preset {preset}", store=store)
     for pair, tables in zip(pairs, found, strict=True):
         for k, table in enumerate(tables):
             (out / f"{pair.pair_id}-{k}.npz").write_bytes(table)

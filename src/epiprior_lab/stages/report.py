@@ -23,9 +23,7 @@ def main() -> None:
     )
     with single_threaded():
         sheet = OUT / "figures" / "contact_sheet.png"
-        shown = {
-            family: study_pairs("test", family)[: params.report.contact_sheet_pairs] for family in families
-        }
+        shown = {family: study_pairs("test", family)[: params.report.contact_sheet_pairs] for family in families}
         contact_sheet(shown, sheet)
         write_report(study, sheet, OUT, params.report)
 
