@@ -54,14 +54,11 @@ def time_pair(image1: str, image2: str, estimator: str, repeats: int) -> None:
 def _one_size(count: int, queue: multiprocessing.Queue) -> None:
     rng = np.random.default_rng(0)
     image = sum(
-        cv2.resize(rng.normal(size=(2048 // k, 2048 // k)).astype(np.float32), (2048, 2048)) * k
-        for k in (2, 4, 8, 32)
+        cv2.resize(rng.normal(size=(2048 // k, 2048 // k)).astype(np.float32), (2048, 2048)) * k for k in (2, 4, 8, 32)
     )
     image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
     other = np.roll(image, (7, 13), axis=(0, 1))
-    settings = PreprocessSettings(
-        name="default", features=FeatureSettings(max_keypoints=count, max_image_size=2048)
-    )
+    settings = PreprocessSettings(name="default", features=FeatureSettings(max_keypoints=count, max_image_size=2048))
     seconds = 0.0
     for _ in range(2):  # the first call compiles
         start = time.perf_counter()
@@ -86,9 +83,7 @@ def time_sizes(sizes: list[int]) -> None:
 
 def main() -> None:
     """Parse arguments and print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("images", nargs="*", help="paths, two per pair")
     parser.add_argument("--estimator", default="usac")
     parser.add_argument("--repeats", type=int, default=5)

@@ -62,9 +62,7 @@ def scene_points(scene: Scene, n: int, rng: np.random.Generator, off_plane: int)
     return X
 
 
-def make_matches(
-    x1: FloatArray, x2: FloatArray, probability: FloatArray | None = None, **columns: object
-) -> MatchSet:
+def make_matches(x1: FloatArray, x2: FloatArray, probability: FloatArray | None = None, **columns: object) -> MatchSet:
     """A MatchSet in the given order; every match has its own two features unless told otherwise."""
     n = len(x1)
     values: dict[str, object] = {
@@ -116,12 +114,8 @@ def make_pair(
         parts.append((p1[seen][:wanted], p2[seen][:wanted]))
     x1, x2 = (np.concatenate(side) for side in zip(*parts, strict=True))
     assert len(x1) == inliers
-    y1 = np.concatenate(
-        [x1 + rng.normal(0, noise_px, x1.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))]
-    )
-    y2 = np.concatenate(
-        [x2 + rng.normal(0, noise_px, x2.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))]
-    )
+    y1 = np.concatenate([x1 + rng.normal(0, noise_px, x1.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))])
+    y2 = np.concatenate([x2 + rng.normal(0, noise_px, x2.shape), rng.uniform(0, [WIDTH, HEIGHT], (outliers, 2))])
     right = np.arange(len(y1)) < inliers
     prior = np.log((inliers + 1) / (outliers + 1))
     logit = rng.normal(np.where(right, order / 2, -order / 2), 1.0) * max(order, 1.0) + prior

@@ -103,9 +103,7 @@ def images(tmp_path):
 
 def test_estimate_as_json(library):
     calls, _ = library
-    result = run(
-        "estimate", "a.jpg", "b.jpg", "--json", "--estimator", "prosac", "--seed", 5, "--threshold", 2.5
-    )
+    result = run("estimate", "a.jpg", "b.jpg", "--json", "--estimator", "prosac", "--seed", 5, "--threshold", 2.5)
     assert result.exit_code == 0
     assert result.stderr == ""
     printed = json.loads(result.stdout)
@@ -307,9 +305,7 @@ def test_help_imports_nothing_slow():
         "except SystemExit: pass\n"
         "print({m.split('.')[0] for m in sys.modules} & {'numpy', 'numba', 'cv2', 'scipy', 'onnxruntime'})"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
-    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert result.stdout.splitlines()[-1] == "set()"
 
 
@@ -377,8 +373,7 @@ def test_a_good_pair(with_model, photographs, how):
 
 def test_the_same_seed_gives_the_same_json(with_model, photographs):
     first, second = (
-        json.loads(run("estimate", photographs["left"], photographs["right"], "--seed", 3).stdout)
-        for _ in "ab"
+        json.loads(run("estimate", photographs["left"], photographs["right"], "--seed", 3).stdout) for _ in "ab"
     )
     del first["seconds"], second["seconds"]
     assert first == second

@@ -72,9 +72,7 @@ def test_best_matches_only_and_one_per_feature():
 
 def test_epipolar_lines_pass_through_their_points():
     pair = make_pair(noise_px=0.0, outliers=0, seed=3)
-    picture = draw_matches(
-        BLACK, BLACK, pair.matches, estimate_of(pair), settings=DrawSettings(epipolar_lines=1)
-    )
+    picture = draw_matches(BLACK, BLACK, pair.matches, estimate_of(pair), settings=DrawSettings(epipolar_lines=1))
     row = picture[-768:]
     x1, x2 = pair.matches.x1[0], pair.matches.x2[0]
     for left, F, here, there in ((0, pair.F.T, x1, x2), (1032, pair.F, x2, x1)):

@@ -141,10 +141,7 @@ def test_two_empty_sets_are_too_few():
 
 def test_iterations_add_up_over_hypotheses():
     pair = make_pair()
-    counts = [
-        estimate_from_matches([pair.matches] * n, estimator="prosac", hand_over=PAPER).iterations
-        for n in (1, 2)
-    ]
+    counts = [estimate_from_matches([pair.matches] * n, estimator="prosac", hand_over=PAPER).iterations for n in (1, 2)]
     assert counts[1] == 2 * counts[0]
 
 
@@ -223,10 +220,7 @@ def test_ranked_matches_are_used_and_their_seconds_kept(monkeypatch):
     estimate = estimate_fundamental(picture, picture, ranked=ranked)
     assert pair.error_px(estimate.F) < 0.6
     assert estimate.seconds["votes"] == 0.5
-    assert (
-        estimate_fundamental(picture, picture, ranked=ranked, preprocess=False).status
-        is Status.TOO_FEW_MATCHES
-    )
+    assert estimate_fundamental(picture, picture, ranked=ranked, preprocess=False).status is Status.TOO_FEW_MATCHES
 
 
 def test_images_are_ranked_with_the_preset(monkeypatch):
@@ -237,9 +231,7 @@ def test_images_are_ranked_with_the_preset(monkeypatch):
         return ranked_of(pair.matches, pair.matches)
 
     monkeypatch.setattr(preprocess, "rank_matches", rank)
-    estimate = estimate_fundamental(
-        texture(), texture(), preset="paper", estimator="prosac", threshold_px=2.5
-    )
+    estimate = estimate_fundamental(texture(), texture(), preset="paper", estimator="prosac", threshold_px=2.5)
     assert asked == ["paper"]
     assert estimate.estimator == "prosac"
     assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 2.5)

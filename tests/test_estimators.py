@@ -43,9 +43,7 @@ def assert_sound(estimate: FundamentalEstimate, matches: MatchSet, threshold_px:
     assert s[2] < 1e-12 < s[1]
     assert np.linalg.norm(estimate.F) == pytest.approx(1.0, abs=1e-12)
     assert estimate.F.flat[np.abs(estimate.F).argmax()] > 0
-    assert np.array_equal(
-        estimate.inliers, sampson_distance(estimate.F, matches.x1, matches.x2) < threshold_px
-    )
+    assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, matches.x1, matches.x2) < threshold_px)
 
 
 def same_bytes(a: FundamentalEstimate, b: FundamentalEstimate) -> bool:
@@ -189,11 +187,7 @@ def test_another_seed_draws_otherwise(name):
     """On noisy matches with many near-best models: seeds that did nothing would all give one F."""
     matches = make_pair(inliers=80, outliers=80, noise_px=2.0, order=0.5, seed=1).matches
     settings = EstimatorSettings(max_iterations=200)
-    found = {
-        F.tobytes()
-        for seed in range(8)
-        if (F := fit(name, matches, seed=seed, settings=settings).F) is not None
-    }
+    found = {F.tobytes() for seed in range(8) if (F := fit(name, matches, seed=seed, settings=settings).F) is not None}
     assert len(found) > 1
 
 
@@ -222,9 +216,7 @@ def test_opencv_error_is_no_model(monkeypatch):
 
 
 def test_opencv_none_with_a_garbage_mask_is_no_model(monkeypatch):
-    monkeypatch.setattr(
-        cv2, "findFundamentalMat", lambda x1, *_: (None, np.full((len(x1), 1), 205, np.uint8))
-    )
+    monkeypatch.setattr(cv2, "findFundamentalMat", lambda x1, *_: (None, np.full((len(x1), 1), 205, np.uint8)))
     matches = make_pair().matches
     estimate = run("magsac++", matches)
     assert_sound(estimate, matches)

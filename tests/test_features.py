@@ -62,9 +62,7 @@ def test_roll_is_recovered_from_a_turned_image(angle_deg):
     d1, d2 = (ft.normalise_descriptors(f.descriptors, root=True, centred=True) for f in (one, two))
     forward, _ = nearest_neighbours(d1, d2)
     good = np.flatnonzero(forward.distance_ratio < 0.8)
-    roll = expected_roll(
-        orientation_differences(one.orientation_deg[good], two.orientation_deg[forward.nearest[good]])
-    )
+    roll = expected_roll(orientation_differences(one.orientation_deg[good], two.orientation_deg[forward.nearest[good]]))
     assert abs((roll - angle_deg + 180) % 360 - 180) < 3
 
 

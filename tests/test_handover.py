@@ -39,9 +39,7 @@ def naive_one_to_one(feature1, feature2):
 @given(st.lists(st.tuples(st.integers(0, 12), st.integers(0, 2**40)), max_size=60))
 @settings(deadline=None)
 def test_one_to_one_is_its_naive_twin(pairs):
-    first, second = (
-        np.array([p[k] % (13 if k == 0 else 9) * 10**9 for p in pairs], np.int64) for k in (0, 1)
-    )
+    first, second = (np.array([p[k] % (13 if k == 0 else 9) * 10**9 for p in pairs], np.int64) for k in (0, 1))
     assert np.array_equal(one_to_one_mask(first, second), naive_one_to_one(first, second))
 
 
@@ -81,9 +79,7 @@ def test_cuts_come_before_one_to_one_and_top_k():
         distance_ratio=np.where(np.arange(12) == 0, 0.99, 0.5),
         feature1=np.array([0, 0, *range(1, 11)]),
     )
-    handed = hand_over(
-        matches, HandOver(max_distance_ratio=0.9, one_to_one=True, min_probability=0.1, top_k=8)
-    )
+    handed = hand_over(matches, HandOver(max_distance_ratio=0.9, one_to_one=True, min_probability=0.1, top_k=8))
     assert handed.feature2.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
     assert hand_over(matches, HandOver(min_probability=0.5)).probability.min() >= 0.5
 
@@ -130,9 +126,7 @@ def test_empty_and_single_sets():
     empty = make_matches(np.zeros((0, 2)), np.zeros((0, 2)), probability=np.zeros(0))
     how = HandOver(one_to_one=True, top_k=8, spread=0.1, min_probability=0.1, max_distance_ratio=0.9)
     assert len(hand_over(empty, how)) == 0
-    one = make_matches(
-        np.ones((1, 2)), np.ones((1, 2)), probability=np.ones(1), distance_ratio=np.array([0.5])
-    )
+    one = make_matches(np.ones((1, 2)), np.ones((1, 2)), probability=np.ones(1), distance_ratio=np.array([0.5]))
     assert len(hand_over(one, how)) == 1
 
 

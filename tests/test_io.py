@@ -93,9 +93,7 @@ def test_columns_in_any_order_and_further_ones(tmp_path):
     path = tmp_path / "m.csv"
     write_matches(path, two_sets())
     lines = [line.split(",") for line in path.read_text().splitlines()]
-    path.write_text(
-        "".join(",".join(["note" if i == 0 else "x", *line[::-1]]) + "\n" for i, line in enumerate(lines))
-    )
+    path.write_text("".join(",".join(["note" if i == 0 else "x", *line[::-1]]) + "\n" for i, line in enumerate(lines)))
     assert_same(read_matches(path)[0], two_sets()[0], 1e-8)
 
 
@@ -276,9 +274,7 @@ def test_database_reads_back(tmp_path, images):
         assert len(matches) == len(x1) - 1
         assert len(np.unique(matches[:, 0])) == len(np.unique(matches[:, 1])) == len(matches)
         assert len(db.read_matches(b, a)) == len(x1) - 1
-        assert not db.exists_two_view_geometry(a, b) or not len(
-            db.read_two_view_geometry(a, b).inlier_matches
-        )
+        assert not db.exists_two_view_geometry(a, b) or not len(db.read_two_view_geometry(a, b).inlier_matches)
         assert db.read_camera(db.read_image(a).camera_id).width == 1024
 
 
@@ -302,15 +298,11 @@ def test_pycolmap_maps_from_the_database(tmp_path, images):
         t = poses[j][1] - R @ poses[i][1]
         F = normalise_fundamental(np.linalg.inv(K).T @ skew(t) @ R @ np.linalg.inv(K))
         inliers = np.ones(300, bool)
-        pairs.append(
-            ColmapPair(image1=images[i], image2=images[j], estimate=estimate(views[i], views[j], F, inliers))
-        )
+        pairs.append(ColmapPair(image1=images[i], image2=images[j], estimate=estimate(views[i], views[j], F, inliers)))
     write_colmap_database(tmp_path / "out.db", pairs, image_root=tmp_path / "images")
     (tmp_path / "sparse").mkdir()
     options = pycolmap.IncrementalPipelineOptions(extract_colors=False, num_threads=1)
-    models = pycolmap.incremental_mapping(
-        tmp_path / "out.db", tmp_path / "images", tmp_path / "sparse", options
-    )
+    models = pycolmap.incremental_mapping(tmp_path / "out.db", tmp_path / "images", tmp_path / "sparse", options)
     assert len(models) == 1
     assert models[0].num_reg_images() == 3
     assert models[0].num_points3D() > 250
@@ -345,12 +337,7 @@ def test_turned_images_are_refused(tmp_path, images):
     tiff_with_orientation = (
         b"MM\x00*\x00\x00\x00\x08\x00\x01\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00\x00\x00\x00\x00"
     )
-    exif = (
-        b"\xff\xe1"
-        + (len(tiff_with_orientation) + 8).to_bytes(2, "big")
-        + b"Exif\0\0"
-        + tiff_with_orientation
-    )
+    exif = b"\xff\xe1" + (len(tiff_with_orientation) + 8).to_bytes(2, "big") + b"Exif\0\0" + tiff_with_orientation
     data = cv2.imencode(".jpg", texture(64, 48))[1].tobytes()
     turned = tmp_path / "turned.jpg"
     turned.write_bytes(data[:2] + exif + data[2:])
@@ -385,7 +372,5 @@ def test_full_disk_leaves_no_database(tmp_path, images, monkeypatch):
     pair = make_pair(seed=4)
     found = estimate(pair.matches.x1, pair.matches.x2, pair.F, pair.right)
     with pytest.raises(OutputError, match=r"out\.db.*disk is full"):
-        write_colmap_database(
-            tmp_path / "out.db", [ColmapPair(image1=images[0], image2=images[1], estimate=found)]
-        )
+        write_colmap_database(tmp_path / "out.db", [ColmapPair(image1=images[0], image2=images[1], estimate=found)])
     assert [p.name for p in tmp_path.iterdir()] == ["images"]

@@ -180,9 +180,7 @@ def test_the_cache_of_compiled_kernels_is_recognised(tmp_path):
     )
     environment = {"NUMBA_CACHE_DIR": str(tmp_path), "PATH": "", "LC_ALL": "C.UTF-8"}
     said = [
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
-        ).stderr
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment).stderr
         for _ in range(2)
     ]
     assert "compiling kernels" in said[0]

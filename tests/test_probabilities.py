@@ -101,10 +101,7 @@ def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
 def test_best_rival_equals_naive():
     rng = np.random.default_rng(1)
     feature, score = rng.integers(0, 15, 60), np.round(rng.random(60), 1)
-    expected = [
-        max([score[j] for j in range(60) if j != i and feature[j] == feature[i]], default=0)
-        for i in range(60)
-    ]
+    expected = [max([score[j] for j in range(60) if j != i and feature[j] == feature[i]], default=0) for i in range(60)]
     np.testing.assert_allclose(_best_rival(score, feature), expected)
     assert _best_rival(np.empty(0), np.empty(0, np.int64)).shape == (0,)
 

@@ -15,10 +15,7 @@ def test_names_stay_functions_after_everything_is_imported():
     # A module of the package that has a public function's name would hide it.
     code = "import epiprior, epiprior.cli, epiprior.estimate; print(all(map(callable, ("
     code += "epiprior.standard_matches, epiprior.rank_matches, epiprior.estimators, epiprior.estimate_fundamental))))"
-    assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        == "True\n"
-    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "True\n"
 
 
 def test_an_unknown_name_is_an_attribute_error():

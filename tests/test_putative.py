@@ -38,8 +38,6 @@ def test_the_cap_keeps_the_most_similar(limit):
 
 def test_no_clusters_on_a_side():
     none = Clusters(*(np.empty(0, np.int64),) * 2, np.zeros(1, np.int64), np.empty((0, 1), np.float32))
-    X = putative_matches(
-        none, clusters_of([0], [[1.0]]), np.empty((0, 1), np.float32), np.ones((1, 1), np.float32)
-    )
+    X = putative_matches(none, clusters_of([0], [[1.0]]), np.empty((0, 1), np.float32), np.ones((1, 1), np.float32))
     assert len(X) == 0
     assert X.candidates2.tolist() == [0]

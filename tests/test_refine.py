@@ -57,9 +57,7 @@ def test_it_is_better_than_one_unweighted_fit():
         pair = make_pair(inliers=80, outliers=80, noise_px=0.7, seed=seed)
         m = pair.matches
         plain = eight_point(m.x1[pair.right], m.x2[pair.right])
-        errors.append(
-            (pair.error_px(plain), pair.error_px(refine_fundamental(pair.F, m.x1, m.x2, m.probability)))
-        )
+        errors.append((pair.error_px(plain), pair.error_px(refine_fundamental(pair.F, m.x1, m.x2, m.probability))))
     once, refined = np.median(errors, axis=0)
     assert refined < 1.2 * once
 

@@ -15,9 +15,7 @@ def test_density_is_circular_normalised_and_equals_the_sum_of_kernels():
     differences = np.array([359.5, 0.5, 100.0])
     angles, density = roll_density(differences, 7.0)
     assert density.sum() * 0.5 == pytest.approx(1)
-    kernels = np.exp((np.cos(np.radians(angles[:, None] - differences)) - 1) / np.radians(7.0) ** 2).sum(
-        axis=1
-    )
+    kernels = np.exp((np.cos(np.radians(angles[:, None] - differences)) - 1) / np.radians(7.0) ** 2).sum(axis=1)
     np.testing.assert_allclose(density, kernels / (kernels.sum() * 0.5), atol=1e-10)
 
 

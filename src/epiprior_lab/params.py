@@ -90,6 +90,7 @@ class FeatureParams(Section):
     """Candidate rows of the training pairs."""
 
     presets: tuple[Preset, ...]
+    pair_sets: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)

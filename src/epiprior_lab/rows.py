@@ -105,9 +105,7 @@ def extract_rows(pair: Pair, preset: str, labels: LabelSettings | None = None) -
     return out
 
 
-def _labels(
-    pair: Pair, prepared: PreparedPair, frames: MatchFrames, settings: LabelSettings | None
-) -> BoolArray:
+def _labels(pair: Pair, prepared: PreparedPair, frames: MatchFrames, settings: LabelSettings | None) -> BoolArray:
     """Label matches; the frames are in working pixels, the ground truth in pixels of the images as given."""
     given, factors = [], []
     for x, to_working in zip((frames.x1, frames.x2), prepared.to_working, strict=True):

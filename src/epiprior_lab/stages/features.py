@@ -28,9 +28,7 @@ def main() -> None:
     labels = LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__})
     out = Path("data/features") / preset
     out.mkdir(parents=True, exist_ok=True)
-    pairs = [
-        pair for family in params.scenes.families for pair in read_pair_set(Path("data/scenes/train") / family).pairs
-    ]
+    pairs = [pair for folder in params.features.pair_sets for pair in read_pair_set(Path(folder)).pairs]
     tasks = [
         Task(name=pair.pair_id, payload={"pair": pair, "preset": preset, "labels": labels}, files=pair.files)
         for pair in pairs
