@@ -120,8 +120,8 @@ def test_features_that_do_not_fit_are_named(model):
 
 @pytest.mark.parametrize("blank", [np.zeros((300, 300), np.uint8), np.zeros((10, 10), np.uint8)])
 def test_no_texture_gives_empty_sets(model, blank):
-    for pair in ((blank, texture()), (texture(), blank), (blank, blank)):
-        found = epiprior.rank_matches(*pair, model=model)
+    for images in ((blank, texture()), (texture(), blank), (blank, blank)):
+        found = epiprior.rank_matches(*images, model=model)
         assert [len(s) for s in found.sets] == [0]
         assert len(found.standard) == 0
 
