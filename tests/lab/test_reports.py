@@ -39,7 +39,7 @@ def root(tmp_path_factory):
 @pytest.fixture(scope="module")
 def written(root):
     sheet = root / "reports" / "figures" / "contact_sheet.png"
-    return report.write_report(read(root), sheet, root / "reports", PARAMS)
+    return report.write_report(read(root), {"contact_sheet": sheet, "example": sheet}, root / "reports", PARAMS)
 
 
 def results_of(root):
@@ -188,7 +188,7 @@ def test_everything_exists_and_is_the_same_again(root, written, tmp_path):
         if path.suffix == ".png":
             assert path.read_bytes().startswith(b"\x89PNG")
     sheet = root / "reports" / "figures" / "contact_sheet.png"
-    again = report.write_report(read(root), sheet, tmp_path, PARAMS)
+    again = report.write_report(read(root), {"contact_sheet": sheet, "example": sheet}, tmp_path, PARAMS)
     assert [p.read_bytes() for p in again] == [p.read_bytes() for p in written]
 
 

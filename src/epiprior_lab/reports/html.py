@@ -25,7 +25,7 @@ from epiprior_lab.reports.tables import ALL, COMPARISONS, contribution_cell
 
 TIMING_FIGURE = "timings/overhead.png"
 TIMING_TABLE = "timings/overhead.csv"
-PHOTOGRAPHS = "contact_sheet"
+PHOTOGRAPHS = ("contact_sheet", "example")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,8 @@ def write_page(
     tables : PageTables
         Numbers.
     figures : mapping of str to Path
-        PNG files, by the names that the template uses: ``contact_sheet, performance, successes, rankings,
+        PNG and JPEG files, by the names that the template uses: ``contact_sheet, example, performance,
+        successes, rankings,
         roll, calibration, classifiers, hand_over``.
     path : Path
         HTML file.
@@ -82,7 +83,7 @@ def write_page(
     )
     page = environment.get_template("page.html.j2").render(
         version=epiprior.__version__,
-        images={name: _data_uri(file, photographs=name == PHOTOGRAPHS) for name, file in figures.items()},
+        images={name: _data_uri(file, photographs=name in PHOTOGRAPHS) for name, file in figures.items()},
         performance=[_performance_block(tables.performance, t) for t in (success_px, strict_px)],
         headline=_headline(tables.performance, success_px),
         rankings=_ranking_rows(tables.rankings),

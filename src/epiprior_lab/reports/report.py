@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from epiprior_lab.params import ReportParams
@@ -21,15 +22,15 @@ from epiprior_lab.reports.tables import (
 PAGE = "index.html"
 
 
-def write_report(study: Study, contact_sheet: Path, out: Path, params: ReportParams) -> list[Path]:
+def write_report(study: Study, photographs: Mapping[str, Path], out: Path, params: ReportParams) -> list[Path]:
     """Write tables, figures and the page.
 
     Parameters
     ----------
     study : Study
         Results.
-    contact_sheet : Path
-        PNG file of the scenes, shown on the page.
+    photographs : mapping of str to Path
+        Pictures of the scenes that the page shows: ``contact_sheet`` and ``example``.
     out : Path
         Folder; ``index.html``, ``performance.csv`` and ``.md``, further tables, and ``figures/``.
     params : ReportParams
@@ -74,7 +75,7 @@ def write_report(study: Study, contact_sheet: Path, out: Path, params: ReportPar
     }
     page = write_page(
         tables,
-        {**drawn, "contact_sheet": contact_sheet},
+        {**drawn, **photographs},
         out / PAGE,
         success_px=params.success_px,
         strict_px=params.strict_px,

@@ -8,10 +8,12 @@ from epiprior_lab.evaluation import study_pairs
 from epiprior_lab.parallel import single_threaded
 from epiprior_lab.params import load_params
 from epiprior_lab.reports.contact_sheet import contact_sheet
+from epiprior_lab.reports.example import example_figure, rescued_pair
 from epiprior_lab.reports.report import write_report
 from epiprior_lab.reports.study import Study
 
 OUT = Path("reports")
+SHOWN = "facades-hard"  # the family whose rescued pair is drawn
 
 
 def main() -> None:
@@ -22,10 +24,13 @@ def main() -> None:
         Path("data"), Path("data/hand_over/search.csv"), families=families, presets=params.features.presets
     )
     with single_threaded():
-        sheet = OUT / "figures" / "contact_sheet.png"
         shown = {family: study_pairs("test", family)[: params.report.contact_sheet_pairs] for family in families}
-        contact_sheet(shown, sheet)
-        write_report(study, sheet, OUT, params.report)
+        pair = rescued_pair(study, study_pairs("test", SHOWN), SHOWN)
+        photographs = {
+            "contact_sheet": contact_sheet(shown, OUT / "figures" / "contact_sheet.png"),
+            "example": example_figure(pair, OUT / "figures" / "example.jpg"),
+        }
+        write_report(study, photographs, OUT, params.report)
 
 
 if __name__ == "__main__":
