@@ -76,8 +76,8 @@ FAMILIES: Mapping[str, FamilySettings] = MappingProxyType(
             scale_ratio=(1.0, 1.9), roll_deg=(0, 5), relief=0.15, passing=(1, 4), relit=0.5,
         ),
         "open": FamilySettings(
-            facades=0.0, distinct=(0.2, 0.7), variety=(0.3, 1.0), angle_deg=(30, 60), overlap=(0.15, 0.45),
-            scale_ratio=(1.0, 2.5), roll_deg=(0, 6), relief=0.15, passing=(0, 3), relit=0.25,
+            facades=0.0, distinct=(0.1, 0.5), variety=(0.3, 1.0), angle_deg=(38, 65), overlap=(0.12, 0.4),
+            scale_ratio=(1.0, 2.5), roll_deg=(0, 6), relief=0.15, passing=(1, 4), relit=0.5,
         ),
         "rolled": FamilySettings(
             facades=0.5, distinct=(0.2, 0.7), variety=(0.3, 1.0), angle_deg=(18, 48), overlap=(0.25, 0.8),
