@@ -26,7 +26,7 @@ def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
     pair_sets : mapping of str to sequence of Pair
         Pairs to show by the name of their family; all families the same number, or fewer.
     path : Path
-        PNG file; its folder is made if absent.
+        PNG or JPEG file; its folder is made if absent.
 
     Returns
     -------

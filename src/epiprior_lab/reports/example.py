@@ -46,7 +46,7 @@ def example_figure(pair: Pair, path: Path) -> Path:
     ]
     height = max(len(picture) for picture in pictures)
     padded = [
-        cv2.copyMakeBorder(p, 0, height - len(p), 0, 0, cv2.BORDER_CONSTANT, value=(24, 24, 24)) for p in pictures
+        cv2.copyMakeBorder(p, 0, height - len(p), 0, 0, cv2.BORDER_CONSTANT, value=(255, 255, 255)) for p in pictures
     ]
     gap = np.full((height, 12, 3), 255, np.uint8)
     picture = np.hstack([padded[0], gap, padded[1]])

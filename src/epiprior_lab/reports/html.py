@@ -12,20 +12,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import jinja2
 import numpy as np
 import pandas as pd
 
 import epiprior
 from epiprior_lab.reports.classifier_figure import METRIC_NAMES, TARGET_NAMES
-from epiprior_lab.reports.study import ReportError, order_of
+from epiprior_lab.reports.study import order_of
 from epiprior_lab.reports.style import INPUT_LOOKS, RANKING_LOOKS
 from epiprior_lab.reports.tables import ALL, COMPARISONS, contribution_cell
 
 TIMING_FIGURE = "timings/overhead.png"
 TIMING_TABLE = "timings/overhead.csv"
-PHOTOGRAPHS = ("contact_sheet", "example")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +62,7 @@ def write_page(
         Numbers.
     figures : mapping of str to Path
         PNG and JPEG files, by the names that the template uses: ``contact_sheet, example, performance,
-        successes, rankings,
-        roll, calibration, classifiers, hand_over``.
+        successes, rankings, roll, calibration, classifiers, hand_over``.
     path : Path
         HTML file.
     success_px, strict_px : float
@@ -83,7 +80,7 @@ def write_page(
     )
     page = environment.get_template("page.html.j2").render(
         version=epiprior.__version__,
-        images={name: _data_uri(file, photographs=name in PHOTOGRAPHS) for name, file in figures.items()},
+        images={name: _data_uri(file) for name, file in figures.items()},
         performance=[_performance_block(tables.performance, t) for t in (success_px, strict_px)],
         headline=_headline(tables.performance, success_px),
         rankings=_ranking_rows(tables.rankings),
@@ -101,15 +98,10 @@ def write_page(
     return path
 
 
-def _data_uri(file: Path, *, photographs: bool) -> str:
-    """Return a figure as part of the page; photographs as JPEG, a tenth of the size."""
-    content, kind = file.read_bytes(), "png"
-    if photographs:
-        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-        if pixels is None:
-            raise ReportError(f"{file}: cannot be read as an image")
-        content, kind = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes(), "jpeg"
-    return f"data:image/{kind};base64," + base64.b64encode(content).decode("ascii")
+def _data_uri(file: Path) -> str:
+    """Return a figure as part of the page."""
+    kind = {".png": "png", ".jpg": "jpeg"}[file.suffix]
+    return f"data:image/{kind};base64," + base64.b64encode(file.read_bytes()).decode("ascii")
 
 
 def _headline(table: pd.DataFrame, threshold_px: float) -> list[dict[str, Any]]:

@@ -118,9 +118,12 @@ def styled(
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG without the metadata that would change from one installation to the next."""
+    """Write a PNG, or a JPEG for photographs, without metadata that would change from one installation to the next."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, metadata={"Software": None})
+    if path.suffix == ".jpg":
+        figure.savefig(path, pil_kwargs={"quality": 88})
+    else:
+        figure.savefig(path, metadata={"Software": None})
     return path
 
 

@@ -27,7 +27,7 @@ def main() -> None:
         shown = {family: study_pairs("test", family)[: params.report.contact_sheet_pairs] for family in families}
         pair = rescued_pair(study, study_pairs("test", SHOWN), SHOWN)
         photographs = {
-            "contact_sheet": contact_sheet(shown, OUT / "figures" / "contact_sheet.png"),
+            "contact_sheet": contact_sheet(shown, OUT / "figures" / "contact_sheet.jpg"),
             "example": example_figure(pair, OUT / "figures" / "example.jpg"),
         }
         write_report(study, photographs, OUT, params.report)
