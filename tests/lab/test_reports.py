@@ -32,13 +32,13 @@ def root(tmp_path_factory):
     write_study(root)
     (root / "reports" / "figures").mkdir(parents=True)
     with style.styled(1, 1, (2, 1)) as (figure, _):
-        style.save(figure, root / "reports" / "figures" / "contact_sheet.png")
+        style.save(figure, root / "reports" / "figures" / "contact_sheet.jpg")
     return root
 
 
 @pytest.fixture(scope="module")
 def written(root):
-    sheet = root / "reports" / "figures" / "contact_sheet.png"
+    sheet = root / "reports" / "figures" / "contact_sheet.jpg"
     return report.write_report(read(root), {"contact_sheet": sheet, "example": sheet}, root / "reports", PARAMS)
 
 
@@ -166,7 +166,7 @@ def test_page_is_whole(root, written):
     text = (root / "reports" / "index.html").read_text()
     page = Page(text)
     assert not page.open
-    sections = ["summary", "scenes", "successes", "rankings", "roll", "calibration", "classifiers"]
+    sections = ["summary", "scenes", "example", "successes", "rankings", "roll", "calibration", "classifiers"]
     sections += ["hand-over", "time", "method"]
     assert page.ids == sections
     inside = [link for link in page.links if link.startswith("#")]
@@ -175,7 +175,7 @@ def test_page_is_whole(root, written):
     outside = [link for link in (*page.links, *page.images) if not link.startswith(("#", "data:"))]
     assert outside == ["timings/overhead.csv", "timings/overhead.png"]
     assert sum(image.startswith("data:image/png;base64,") for image in page.images) == 7
-    assert sum(image.startswith("data:image/jpeg;base64,") for image in page.images) == 1
+    assert sum(image.startswith("data:image/jpeg;base64,") for image in page.images) == 2
     table = pd.read_csv(root / "reports" / "performance.csv")
     for cell in table["default"]:
         assert f"{cell:.1f} ±" in text
@@ -187,7 +187,7 @@ def test_everything_exists_and_is_the_same_again(root, written, tmp_path):
         assert path.stat().st_size > 100
         if path.suffix == ".png":
             assert path.read_bytes().startswith(b"\x89PNG")
-    sheet = root / "reports" / "figures" / "contact_sheet.png"
+    sheet = root / "reports" / "figures" / "contact_sheet.jpg"
     again = report.write_report(read(root), {"contact_sheet": sheet, "example": sheet}, tmp_path, PARAMS)
     assert [p.read_bytes() for p in again] == [p.read_bytes() for p in written]
 
