@@ -12,6 +12,7 @@ import numba
 import numpy as np
 import pytest
 import threadpoolctl
+from joblib.externals.loky import get_reusable_executor
 
 from epiprior.errors import SettingsError
 from epiprior_lab import parallel
@@ -74,7 +75,10 @@ def work(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
     import work
 
+    # Workers that an earlier test left waiting would not find the module.
+    get_reusable_executor().shutdown(wait=True)
     yield work
+    get_reusable_executor().shutdown(wait=True)
     del sys.modules["work"]
 
 
