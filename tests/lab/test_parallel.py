@@ -150,8 +150,9 @@ def test_a_damaged_result_is_computed_again(doubled, tmp_path, damage):
 def test_a_failure_names_the_task_and_keeps_what_was_ready(doubled, workers):
     with pytest.raises(TaskError, match=r"doubling: task 'pair -1' failed: ValueError: -1 is negative"):
         doubled([1, 2, 3, 4, 5, 6, 7, -1], workers=workers)
-    again = doubled([1, 2, 3, 4], workers=workers)
-    assert again == ([2, 4, 6, 8], [])
+    results, computed = doubled([1, 2, 3, 4], workers=workers)
+    assert results == [2, 4, 6, 8]
+    assert len(computed) < workers  # what the other worker was at when the task failed may be lost
 
 
 @pytest.mark.parametrize("workers", [1, 2])
