@@ -19,6 +19,18 @@ from epiprior_lab.source_graph import SOURCE, source_files
 _DIGEST_BYTES = 32
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Installation:
+    """What a process runs: source files of both packages, by their names below the source folder, and versions."""
+
+    sources: tuple[str, ...]
+    digest: bytes
+
+    def is_here(self) -> bool:
+        """Return whether this process runs the same."""
+        return _installation_digest(self.sources) == self.digest
+
+
 class ContentKeys:
     """Keys of calls of one function: source, installed versions, payload, and files that it reads.
 
@@ -31,6 +43,11 @@ class ContentKeys:
     ------
     SettingsError
         If the function's module has no source file.
+
+    Attributes
+    ----------
+    installation : Installation
+        What another process must run to get the same results.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -38,7 +55,10 @@ class ContentKeys:
         if module.__file__ is None:
             raise SettingsError(f"function {function.__qualname__}: module {module.__name__} has no source file")
         self._common = hashlib.sha256("\0".join([*_names(function), *_environment()]).encode())
-        self._common.update(_source_digest(source_files(Path(module.__file__).resolve())))
+        sources = source_files(Path(module.__file__).resolve())
+        self._common.update(_source_digest(sources))
+        names = tuple(sorted(file.relative_to(SOURCE).as_posix() for file in sources if file.is_relative_to(SOURCE)))
+        self.installation = Installation(sources=names, digest=_installation_digest(names))
         self._files: dict[Path, bytes] = {}
 
     def key(self, payload: Mapping[str, Any], files: Sequence[Path]) -> bytes:
@@ -99,6 +119,13 @@ def _environment() -> tuple[str, ...]:
     """Return the versions of Python and of all installed distributions."""
     versions = {f"{item.name}=={item.version}" for item in importlib.metadata.distributions()}
     return (sys.version, *sorted(versions))
+
+
+@functools.cache
+def _installation_digest(names: tuple[str, ...]) -> bytes:
+    """Return the digest of source files, as they are when it is first asked for, and of versions."""
+    files = [SOURCE / name for name in names if (SOURCE / name).is_file()]
+    return _source_digest(files) + hashlib.sha256("\0".join(_environment()).encode()).digest()
 
 
 def _source_digest(files: Iterable[Path]) -> bytes:

@@ -1,15 +1,19 @@
+import contextlib
 import hashlib
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cloudpickle
 import cv2
 import numba
 import numpy as np
+import psutil
 import pytest
 import threadpoolctl
 from joblib.externals.loky import get_reusable_executor
@@ -18,6 +22,7 @@ from epiprior.errors import SettingsError
 from epiprior_lab import parallel
 from epiprior_lab.parallel import Task, TaskError, default_workers, map_tasks, single_threaded
 from epiprior_lab.source_graph import source_files
+from epiprior_lab.task_store import ContentKeys
 
 # The functions that run in tasks live in a module of their own that every worker can import.
 WORK = """
@@ -54,32 +59,80 @@ def read(path):
 def fill(array):
     array[:] = 7
     return array
+
+def fail_after(seconds, log, value):
+    with Path(log).open("a") as file:
+        file.write(f"{value}\\n")
+    time.sleep(seconds)
+    if value % 2:
+        raise ValueError(f"{value} is odd")
+
+class Odd(Exception):
+    def __init__(self, first, second):
+        super().__init__(f"{first} and {second}")
+
+def raise_odd():
+    raise Odd("one", "two")
+
+def die(value):
+    if value == 5:
+        os.kill(os.getpid(), 9)
+    return value
+
+def interrupt(value):
+    if value == 2:
+        raise KeyboardInterrupt
+    return value
 """
 
-KILLED = """
-import os, sys
+STOPPED = """
+import sys
 from pathlib import Path
 import work
 from epiprior_lab.parallel import Task, map_tasks
 tasks = [Task(name=str(i), payload={"value": i, "log": sys.argv[2]}) for i in range(60)]
-map_tasks(work.slow, tasks, workers=int(sys.argv[3]), description="slow", store=Path(sys.argv[1]))
+map_tasks(work.slow, tasks, workers=2, description="slow", store=Path(sys.argv[1]))
+"""
+
+OWN_FUNCTION = """
+from dataclasses import dataclass
+from epiprior_lab.parallel import Task, map_tasks
+
+@dataclass(frozen=True)
+class Number:
+    value: int
+
+def twice(number):
+    return 2 * number.value
+
+tasks = [Task(name=str(i), payload={"number": Number(i)}) for i in range(4)]
+for workers in (1, 2):
+    assert map_tasks(twice, tasks, workers=workers, description="own") == [0, 2, 4, 6]
 """
 
 
-@pytest.fixture
-def work(tmp_path, monkeypatch):
-    folder = tmp_path / "work"
-    folder.mkdir()
+@pytest.fixture(scope="module")
+def work_module(tmp_path_factory):
+    """Write the module, where workers that are started from now on find it too."""
+    folder = tmp_path_factory.mktemp("work")
     (folder / "work.py").write_text(WORK, encoding="utf-8")
-    monkeypatch.syspath_prepend(folder)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
-    import work
+    get_reusable_executor().shutdown(wait=True)  # workers that earlier tests left waiting would not find it
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+        patch.delenv("EPIPRIOR_SCHEDULER", raising=False)
+        import work
 
-    # Workers that an earlier test left waiting would not find the module.
-    get_reusable_executor().shutdown(wait=True)
-    yield work
+        yield work
     get_reusable_executor().shutdown(wait=True)
     del sys.modules["work"]
+
+
+@pytest.fixture
+def work(work_module):
+    yield work_module
+    Path(work_module.__file__).write_text(WORK, encoding="utf-8")
+    source_files.cache_clear()
 
 
 @pytest.fixture
@@ -150,22 +203,69 @@ def test_a_damaged_result_is_computed_again(doubled, tmp_path, damage):
 def test_a_failure_names_the_task_and_keeps_what_was_ready(doubled, workers):
     with pytest.raises(TaskError, match=r"doubling: task 'pair -1' failed: ValueError: -1 is negative"):
         doubled([1, 2, 3, 4, 5, 6, 7, -1], workers=workers)
-    results, computed = doubled([1, 2, 3, 4], workers=workers)
-    assert results == [2, 4, 6, 8]
-    assert len(computed) < workers  # what the other worker was at when the task failed may be lost
+    again = doubled([1, 2, 3, 4], workers=workers)
+    assert again == ([2, 4, 6, 8], [])
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_killed_run_continues(work, tmp_path, workers):
-    script, store, log = tmp_path / "killed.py", tmp_path / "store", tmp_path / "log"
-    script.write_text(KILLED, encoding="utf-8")
-    command = [sys.executable, str(script), str(store), str(log), str(workers)]
-    run = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
-    deadline = time.monotonic() + 60
-    while len(list(store.glob("*.result"))) < 10 and time.monotonic() < deadline:
-        time.sleep(0.01)
-    os.killpg(run.pid, signal.SIGKILL)
-    run.wait()
+def test_the_first_failure_is_named_and_nothing_is_started_after_it(work, tmp_path, workers):
+    log, store = tmp_path / "log", tmp_path / "store"
+    values = [0, 3, 5, *range(6, 46, 2)]
+    seconds = {3: 0.5}  # 5 fails before 3 does
+    tasks = [Task(name=str(v), payload={"seconds": seconds.get(v, 0.1), "log": log, "value": v}) for v in values]
+    with pytest.raises(TaskError, match="odd or even: task '3' failed: ValueError: 3 is odd"):
+        map_tasks(work.fail_after, tasks, workers=workers, description="odd or even", store=store)
+    started = [int(line) for line in log.read_text().split()]
+    assert len(started) < 12
+    names = {path.name.split("-")[0] for path in store.iterdir()}
+    assert names == {str(v) for v in started} - {"3", "5"}  # what had been handed out was let end
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_that_cannot_be_pickled_is_told(work, workers):
+    tasks = [Task(name=name) for name in "ab"]
+    with pytest.raises(TaskError, match="odd: task 'a' failed: Odd: one and two"):
+        map_tasks(work.raise_odd, tasks, workers=workers, description="odd")
+
+
+def test_a_worker_that_was_killed_is_told_and_what_was_ready_is_kept(work, tmp_path):
+    store = tmp_path / "store"
+    tasks = [Task(name=f"pair {i}", payload={"value": i}) for i in range(12)]
+    with pytest.raises(TaskError, match=r"die: workers were killed .*'pair 5'.* kept"):
+        map_tasks(work.die, tasks, workers=2, description="die", store=store)
+    assert list(store.glob("pair_0-*"))
+    assert map_tasks(work.die, tasks[:5], workers=2, description="die", store=store) == list(range(5))
+
+
+def test_functions_and_payloads_of_a_script(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(OWN_FUNCTION, encoding="utf-8")
+    subprocess.run([sys.executable, str(script)], check=True, capture_output=True, timeout=120)
+
+
+@pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
+def test_a_stopped_run_leaves_no_workers_and_continues(work, tmp_path, stop):
+    script, store, log = tmp_path / "stopped.py", tmp_path / "store", tmp_path / "log"
+    script.write_text(STOPPED, encoding="utf-8")
+    command = [sys.executable, str(script), str(store), str(log)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True) as run:
+        try:
+            deadline = time.monotonic() + 120
+            while len(list(store.glob("*.result"))) < 10 and time.monotonic() < deadline:
+                time.sleep(0.01)
+            workers = psutil.Process(run.pid).children()
+            assert len(workers) >= 2
+            if stop == signal.SIGKILL:
+                run.kill()  # this process only: its workers have to notice
+            else:
+                os.killpg(run.pid, stop)  # as a terminal does: workers get it too
+            _, told = run.communicate(timeout=60)
+            assert psutil.wait_procs(workers, timeout=60)[1] == []
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(run.pid, signal.SIGKILL)
+    assert run.returncode == -stop
+    assert told.count(b"KeyboardInterrupt") == (stop == signal.SIGINT)
     before = {path.name for path in store.glob("*.result")}
     assert 10 <= len(before) < 60
     log.write_text("")
@@ -173,6 +273,13 @@ def test_a_killed_run_continues(work, tmp_path, workers):
     options = {"workers": 2, "description": "slow", "store": store}
     assert map_tasks(work.slow, tasks, **options) == [2 * i for i in range(60)]
     assert len(log.read_text().split()) == 60 - len(before)
+
+
+def test_an_interrupt_in_this_process_goes_through(work, tmp_path):
+    tasks = [Task(name=f"pair {i}", payload={"value": i}) for i in range(4)]
+    with pytest.raises(KeyboardInterrupt):
+        map_tasks(work.interrupt, tasks, workers=1, description="interrupt", store=tmp_path)
+    assert len(list(tmp_path.glob("*.result"))) == 2
 
 
 def test_one_and_two_workers_give_the_same_bytes(work, tmp_path):
@@ -224,8 +331,6 @@ class Options:
 
 
 def test_equal_payloads_have_equal_keys_and_others_differ(work):
-    from epiprior_lab.task_store import ContentKeys
-
     keys = ContentKeys(work.double)
     payloads = [
         {"a": 1},
@@ -250,6 +355,16 @@ def test_equal_payloads_have_equal_keys_and_others_differ(work):
     ]
     assert len({keys.key(payload, ()) for payload in payloads}) == len(payloads)
     assert keys.key({"a": 1, "b": [np.ones(2)]}, ()) == keys.key({"b": [np.ones(2)], "a": 1}, ())
+
+
+def test_a_worker_with_other_code_is_named(work):
+    call = cloudpickle.dumps((work.double, {"value": 1}))
+    here = ContentKeys(default_workers).installation
+    assert "epiprior_lab/executors.py" in here.sources
+    assert pickle.loads(parallel._run(call, "doubling", Path.cwd(), here)) == 2
+    for other in (replace(here, sources=here.sources[1:]), replace(here, digest=b"other")):
+        with pytest.raises(TaskError, match=rf"doubling failed: .*worker {os.getpid()} on \S+ has other code"):
+            parallel._run(call, "doubling", Path.cwd(), other)
 
 
 def test_bad_calls_are_named(work, tmp_path):

@@ -1,0 +1,162 @@
+"""Where tasks run: in this process, in processes beside it, or on a dask cluster; all behind one interface."""
+
+import contextlib
+import os
+import signal
+import socket
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from joblib.externals.loky import get_reusable_executor
+
+from epiprior.errors import EpipriorError, SettingsError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_IDLE_SECONDS = 300  # workers stay for the next work, with all that they have imported and compiled
+_CONNECT_SECONDS = 30
+_FIRST_WORKER_SECONDS = 60
+_PARENT_CHECK_SECONDS = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pool:
+    """An executor, and how much it is given at a time.
+
+    Attributes
+    ----------
+    executor : Executor
+        Runs what is submitted.
+    capacity : callable
+        Returns how many tasks should be submitted and not yet done, ``>= 1``: enough that no worker waits, few
+        enough that memory stays bounded. It may change. Raises BrokenExecutor if the workers are lost.
+    remote : bool
+        Workers were started by somebody else, perhaps with other code, in another folder.
+    """
+
+    executor: Executor
+    capacity: Callable[[], int]
+    remote: bool
+
+
+@contextlib.contextmanager
+def open_pool(*, workers: int, scheduler: str | None) -> Iterator[Pool]:
+    """Open workers for one piece of work.
+
+    Parameters
+    ----------
+    workers : int
+        Processes, ``>= 0``; with 0 or 1 tasks run in this process. Not used with a scheduler.
+    scheduler : str or None
+        Address of a dask scheduler; None for workers on this machine.
+
+    Yields
+    ------
+    Pool
+        An exception inside, other than an EpipriorError, ends processes beside this one at once, tasks in flight
+        included; a cluster is told to forget the tasks.
+
+    Raises
+    ------
+    SettingsError
+        If the address is none, no scheduler answers, it has no worker, or ``distributed`` is not installed.
+    """
+    pool: contextlib.AbstractContextManager[Pool]
+    if scheduler is not None:
+        pool = _on_cluster(scheduler)
+    elif workers > 1:
+        pool = _in_processes(workers)
+    else:
+        pool = contextlib.nullcontext(Pool(executor=_InThisProcess(), capacity=lambda: 1, remote=False))
+    with pool as opened:
+        yield opened
+
+
+class _InThisProcess(Executor):
+    """Run a task when it is submitted; an interrupt goes through to the caller."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # noqa: BLE001 - whoever asks for the result gets it
+            future.set_exception(error)
+        return future
+
+
+# --- processes beside this one
+
+
+@contextlib.contextmanager
+def _in_processes(workers: int) -> Iterator[Pool]:
+    with warnings.catch_warnings():
+        # loky replaces a worker whose memory grew between two tasks. No task is lost, and there is nothing to do.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
+        executor = get_reusable_executor(
+            max_workers=workers, timeout=_IDLE_SECONDS, initializer=_follow_parent, initargs=(os.getpid(),)
+        )
+        try:
+            yield Pool(executor=executor, capacity=lambda: 2 * workers, remote=False)
+        except EpipriorError:  # of a task, when all others have ended
+            raise
+        except BaseException:
+            executor.shutdown(wait=True, kill_workers=True)
+            raise
+
+
+def _follow_parent(parent: int) -> None:
+    """Leave interrupts to the parent, which ends its workers, and end if the parent was killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_PARENT_CHECK_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+# --- a cluster
+
+
+@contextlib.contextmanager
+def _on_cluster(address: str) -> Iterator[Pool]:
+    try:
+        from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
+    except ImportError as error:
+        raise SettingsError(f"scheduler = {address!r}: install epiprior[cluster], it needs distributed") from error
+    try:
+        # Asked before dask is: a client that finds nobody leaves a thread behind that later ones may wait for.
+        socket.create_connection(get_address_host_port(address), _CONNECT_SECONDS).close()
+        client = Client(address, timeout=_CONNECT_SECONDS, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TypeError) as error:
+        raise SettingsError(f"scheduler = {address!r}: no dask scheduler answers there: {error}") from error
+    with client, warnings.catch_warnings():
+        try:
+            client.wait_for_workers(1, timeout=_FIRST_WORKER_SECONDS)
+        except TimeoutError as error:
+            message = f"no worker came within {_FIRST_WORKER_SECONDS} s"
+            raise SettingsError(f"scheduler = {address!r}: {message}") from error
+        # A task carries its own arguments; there is no graph that could be smaller.
+        warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+        executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+        try:
+            yield Pool(executor=executor, capacity=lambda: 2 * max(1, _count_workers(client)), remote=True)
+        except BaseException:
+            executor.shutdown(wait=False)
+            raise
+
+
+def _count_workers(client: "Client") -> int:
+    """Return how many workers there are now: they may come and go."""
+    try:
+        return len(client.nthreads())  # type: ignore[no-untyped-call]
+    except OSError as error:
+        raise BrokenExecutor(f"no connection to the scheduler: {error}") from error
