@@ -1,9 +1,9 @@
 """What is true of a pair: which matches are right, the fundamental matrix, and control points.
 
 Where a pair has depth maps, a match is right when each of its points reprojects onto the other and is
-visible there. Without depth, only the epipolar line of the true F can be checked ("epipolar" labels): 1 to
-4 % of random matches satisfy it by chance. The true F comes from the cameras, else it is fitted to all
-control points.
+visible there; where a homography is given, when it takes them to each other. Else only the epipolar line of the
+true F can be checked ("epipolar" labels): 1 to 4 % of random matches satisfy it by chance. The true F is given,
+comes from the cameras, or is fitted to all control points.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from epiprior.errors import SettingsError
 from epiprior.geometry import MIN_MATCHES, as_points, eight_point, normalise_fundamental, sampson_distance
 from epiprior.types import BoolArray, Float32Array, FloatArray
-from epiprior_lab.datasets import Camera, DatasetError, Pair, covisible, depth_at, reproject
+from epiprior_lab.datasets import Camera, DatasetError, Pair, covisible, depth_at, reproject, transfer
 
 _RIM_REACH_PX = (1.0, 4.0)
 _RIM_BEND = 0.1
@@ -74,7 +74,7 @@ def label_matches(
     Parameters
     ----------
     pair : Pair
-        Its depth maps decide, else its cameras, else its control points.
+        Its depth maps decide, else its homography, its F or cameras, else its control points.
     x1, x2 : ndarray, shape (N, 2), float64
         Matched points, pixels. ``N = 0`` is allowed.
     scale1, scale2 : ndarray, shape (N,), float64
@@ -86,8 +86,8 @@ def label_matches(
     -------
     ndarray, shape (N,), bool
         With depth: True where both reprojections are within ``max(tolerance_px, tolerance_sigma * sigma)``
-        and the point is visible in both images. Without depth: True where the Sampson distance to the true
-        F is below `epipolar_px`.
+        and the point is visible in both images. With a homography: True where both transfers are within the same
+        distances. Else: True where the Sampson distance to the true F is below `epipolar_px`.
 
     Raises
     ------
@@ -104,12 +104,21 @@ def label_matches(
     """
     settings = settings or LabelSettings()
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
-    if pair.depth_paths is None or pair.camera1 is None:
+    H = pair.homography()
+    if H is not None:
+        return _near(H, x1, x2, scale2, settings) & _near(np.asarray(np.linalg.inv(H)), x2, x1, scale1, settings)
+    if pair.truth == "epipolar":
         return sampson_distance(reference_fundamental(pair), x1, x2) < settings.epipolar_px
     cameras, depths = pair.depth_views()
     forward = _confirmed(cameras, depths, (x1, x2), (scale1, scale2), settings)
     backward = _confirmed(cameras[::-1], depths[::-1], (x2, x1), (scale2, scale1), settings)
     return forward & backward
+
+
+def _near(H: FloatArray, x: FloatArray, wanted: FloatArray, scale: FloatArray, settings: LabelSettings) -> BoolArray:
+    """Return where `H` takes a point close enough to where it should."""
+    tolerance = np.maximum(settings.tolerance_px, settings.tolerance_sigma * scale)
+    return np.asarray(np.linalg.norm(transfer(H, x) - wanted, axis=1) < tolerance)
 
 
 def _confirmed(
@@ -151,13 +160,13 @@ def _depths_at_rims(depth: Float32Array, x: FloatArray, scale: FloatArray) -> li
 
 
 def reference_fundamental(pair: Pair) -> FloatArray:
-    """Return the true F of a pair: from its cameras, else fitted to all its control points.
+    """Return the true F of a pair: as given, from its cameras, else fitted to all its control points.
 
     Raises
     ------
     DatasetError
-        If the cameras share their centre, or there are fewer than eight control points or they decide
-        nothing.
+        If the cameras share their centre, a homography is the ground truth, or there are fewer than eight control
+        points or they decide nothing.
 
     Notes
     -----
@@ -169,17 +178,28 @@ def reference_fundamental(pair: Pair) -> FloatArray:
     Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 11.4.3.
     """
     F = pair.fundamental()
-    if F is None and pair.camera1 is None:
+    if F is None and pair.camera1 is None and pair.homography_path is None:
         x1, x2 = pair.control_points()
-        F = _fit(x1, x2) if len(x1) >= MIN_MATCHES else None
+        F = fit_to_points(x1, x2)
     if F is None:
         raise DatasetError(f"pair {pair.pair_id!r}: cameras or control points decide no fundamental matrix")
     return F
 
 
-def _fit(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
-    """Return the F of smallest Sampson distances, from the eight-point estimate on; single bad points count less."""
-    F = eight_point(x1, x2)
+def fit_to_points(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
+    """Return the F of smallest Sampson distances, from the eight-point estimate on; single bad points count less.
+
+    Parameters
+    ----------
+    x1, x2 : ndarray, shape (N, 2), float64
+        Control points, pixels.
+
+    Returns
+    -------
+    ndarray, shape (3, 3), or None
+        Normalised as by `normalise_fundamental`; None for fewer than eight points or where they decide nothing.
+    """
+    F = eight_point(x1, x2) if len(x1) >= MIN_MATCHES else None
     if F is None:
         return None
     # Both images about their middle and on one scale, so that all parameters matter alike.

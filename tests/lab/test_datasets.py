@@ -2,23 +2,31 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from PIL import Image as PillowImage
 
 from epiprior.geometry import sampson_distance
 from epiprior_lab.datasets import (
     Camera,
     DatasetError,
     PairFiles,
+    check_pair_set,
     encode_depth,
     fundamental_from_cameras,
+    image_size,
+    known_sets,
     read_depth,
     read_pair_set,
     reproject,
+    transfer,
+    transfer_distance,
     write_control_points,
     write_pair_set,
 )
 from epiprior_lab.datasets.cameras import CameraError
+from epiprior_lab.datasets.writer import write_matrix
 from epiprior_lab.scenes.photography import encode_jpeg
 from worlds import HEIGHT, WIDTH, camera_at
 
@@ -85,7 +93,9 @@ def test_writing_twice_gives_the_same_bytes(root, tmp_path):
 
 
 def test_control_points_are_found_in_the_set_or_in_another_folder(root, tmp_path):
-    x1, x2 = np.array([[1.25, 2.0], [3.0, 4.0]]), np.array([[5.0, 6.0], [7.0, 8.123456]])
+    x1 = np.array([[101.25, 60.0], [103.0, 62.0]])
+    x2, _ = reproject(camera_at(-1.0), camera_at(1.5, roll_deg=10), x1, np.array([9.0, 10.0]))
+    x2 = np.round(x2, 6)
     with pytest.raises(DatasetError, match=r"'p' of .* has no control points"):
         read_pair_set(root).pairs[0].control_points()
     write_control_points(tmp_path / "points" / "p.csv", x1, x2)
@@ -146,18 +156,131 @@ def test_damage_is_named_with_file_and_line(root, file, old, new, message):
 
 
 def test_damage_in_what_is_read_later_is_named_too(root):
-    points = root / "control_points" / "p.csv"
-    points.parent.mkdir()
-    points.write_text("x1,y1,x2,y2\n1,2,3,4\n1,2,three,4\n")
     (root / "depth" / "p_1.npz").write_bytes(b"no archive")
     (root / "depth" / "q_1.npz").write_bytes(encode_depth(np.ones((3, 4), np.float32)))
     first, second = read_pair_set(root).pairs
-    with pytest.raises(DatasetError, match=r"p\.csv, line 3: x2 = 'three'"):
-        first.control_points()
     with pytest.raises(DatasetError, match=r"p_1\.npz: cannot be read"):
         first.depths()
     with pytest.raises(DatasetError, match=r"q_1\.npz: depth has shape \(3, 4\)"):
         second.depths()
+
+
+def test_control_points_are_checked_when_a_set_is_read(root):
+    points = root / "control_points" / "p.csv"
+    points.parent.mkdir()
+    points.write_text("x1,y1,x2,y2\n1,2,3,4\n1,2,three,4\n")
+    with pytest.raises(DatasetError, match=r"p\.csv, line 3: x2 = 'three'"):
+        read_pair_set(root)
+    points.write_text("x1,y1,x2,y2\n1,2,3,4\n1,240,3,500\n")
+    with pytest.raises(DatasetError, match=r"p\.csv, line 3: point 3, 500 lies outside image 2, 320 x 240"):
+        read_pair_set(root)
+    x1 = np.random.default_rng(0).uniform(60, 180, (20, 2))
+    x2, _ = reproject(camera_at(-1.0), camera_at(1.5, roll_deg=10), x1, np.linspace(9, 14, 20))
+    write_control_points(points, x1, x2)
+    read_pair_set(root)
+    write_control_points(points, x2, x1)
+    with pytest.raises(DatasetError, match=r"p\.csv: the F of the cameras of pair 'p' does not fit its control points"):
+        read_pair_set(root)
+
+
+def test_an_image_of_another_size_than_its_camera_is_named(root):
+    (root / "images" / "q_2.jpg").write_bytes(encode_jpeg(np.zeros((HEIGHT, 100, 3), np.uint8), 90))
+    with pytest.raises(DatasetError, match=r"pairs\.csv, line 3: .*q_2\.jpg is 100 x 240, its camera .* 320 x 240"):
+        read_pair_set(root)
+    (root / "images" / "q_2.jpg").write_bytes(b"no image")
+    with pytest.raises(DatasetError, match=r"q_2\.jpg: is no image"):
+        read_pair_set(root)
+
+
+def test_a_pair_id_is_a_file_name(root):
+    replace_in(root / "pairs.csv", "\nq,", "\na/q,")
+    with pytest.raises(DatasetError, match=r"pairs\.csv, line 3: pair_id 'a/q' is no file name"):
+        read_pair_set(root)
+
+
+# --- homographies and fundamental matrices
+
+
+@pytest.mark.parametrize("kind", ["homography", "fundamental"])
+def test_a_matrix_as_ground_truth(root, kind):
+    replace_in(root / "pairs.csv", ",cameras,", f",{kind},")
+    with pytest.raises(DatasetError, match=rf"pairs\.csv, line 2: no {kind} .*p\.txt"):
+        read_pair_set(root)
+    path = root / kind / "p.txt"
+    path.parent.mkdir()
+    path.write_text("0 0 0\n0 0 -1\n0 0 1\n")
+    with pytest.raises(DatasetError, match=r"p\.txt: the matrix (is singular|has a rank below 2)"):
+        read_pair_set(root)
+    matrix = np.array([[0.9, 0.1, 20.0], [-0.1, 1.1, 3.0], [1e-4, 0, 1.0]])
+    if kind == "fundamental":
+        matrix = fundamental_from_cameras(camera_at(-1.0), camera_at(1.5))
+    write_matrix(path, -5 * matrix)
+    pair, other = read_pair_set(root).pairs
+    got = getattr(pair, kind)()
+    np.testing.assert_allclose(got / got[2, 2], matrix / matrix[2, 2], atol=1e-12)
+    assert pair.camera1 is None
+    assert path in pair.files
+    assert (pair.truth, other.truth) == ("plane" if kind == "homography" else "epipolar", "3D")
+    assert other.homography() is None
+    assert pair.sizes() == ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
+    # Control points must fit it.
+    x1 = np.random.default_rng(0).uniform(80, 160, (20, 2))
+    if kind == "homography":
+        x2 = transfer(matrix, x1)
+    else:
+        x2, _ = reproject(camera_at(-1.0), camera_at(1.5), x1, np.linspace(9, 14, 20))
+    write_control_points(root / "control_points" / "p.csv", x1, x2)
+    read_pair_set(root)
+    write_control_points(root / "control_points" / "p.csv", x1, x2 + [0.0, 8.0])
+    with pytest.raises(DatasetError, match=rf"p\.csv: the ({kind}|F) .*p\.txt of pair 'p' does not fit"):
+        read_pair_set(root)
+
+
+def test_transfer_distance_counts_the_larger_side():
+    H = np.diag([2.0, 2.0, 1.0])
+    x1 = np.array([[10.0, 0.0], [10.0, 0.0]])
+    np.testing.assert_allclose(transfer_distance(H, x1, np.array([[20.0, 0.0], [22.0, 0.0]])), [0.0, 2.0])
+    np.testing.assert_allclose(transfer_distance(np.linalg.inv(H), np.array([[22.0, 0.0]]), x1[:1]), [2.0])
+    at_infinity = np.array([[1.0, 0, 0], [0, 1, 0], [-0.1, 0, 1]])
+    assert np.isinf(transfer_distance(at_infinity, x1[:1], x1[:1])).all()
+
+
+def test_turned_photographs_have_the_size_that_opencv_sees(tmp_path):
+    exif = PillowImage.Exif()
+    exif[0x0112] = 6
+    for suffix in ("jpg", "png"):
+        PillowImage.fromarray(np.zeros((20, 30, 3), np.uint8)).save(tmp_path / f"turned.{suffix}", exif=exif)
+        assert image_size(tmp_path / f"turned.{suffix}") == (20, 30)
+        assert cv2.imread(str(tmp_path / f"turned.{suffix}")).shape == (30, 20, 3)
+
+
+def test_the_whole_check_reads_depth_maps_too(root):
+    done = []
+    assert check_pair_set(root, on_pair=lambda: done.append(1)).name == "family"
+    assert len(done) == 2
+    (root / "depth" / "q_1.npz").write_bytes(b"no archive")
+    with pytest.raises(DatasetError, match=r"q_1\.npz: cannot be read"):
+        check_pair_set(root)
+
+
+# --- known sets
+
+
+def test_known_sets_say_whether_they_are_present(root):
+    paper = known_sets(paper=True)
+    assert {known.name: known.pairs for known in paper} == {
+        "zubud1": 137,
+        "zubud2": 137,
+        "blogs": 20,
+        "usac": 11,
+        "urban": 108,
+        "open1": 246,
+        "open2": 224,
+    }
+    assert known_sets()[: len(paper)] == paper
+    assert not paper[0].present(root.parent)
+    root.rename(root.parent / "zubud1")
+    assert paper[0].present(root.parent)
 
 
 def test_a_folder_that_is_no_pair_set_is_named(tmp_path, root):

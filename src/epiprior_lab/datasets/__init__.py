@@ -2,24 +2,34 @@
 
 from epiprior_lab.datasets.cameras import Camera, fundamental_from_cameras, reproject
 from epiprior_lab.datasets.files import DatasetError, encode_depth, read_depth
-from epiprior_lab.datasets.pair_sets import Pair, PairSet, read_pair_set
+from epiprior_lab.datasets.homographies import transfer, transfer_distance
+from epiprior_lab.datasets.images import image_size
+from epiprior_lab.datasets.known_sets import KnownSet, known_sets
+from epiprior_lab.datasets.pair import Pair
+from epiprior_lab.datasets.pair_sets import PairSet, check_pair_set, read_pair_set
 from epiprior_lab.datasets.views import ViewDifference, covisible, depth_at, view_difference
 from epiprior_lab.datasets.writer import PairFiles, write_control_points, write_pair_set, write_table
 
 __all__ = [
     "Camera",
     "DatasetError",
+    "KnownSet",
     "Pair",
     "PairFiles",
     "PairSet",
     "ViewDifference",
+    "check_pair_set",
     "covisible",
     "depth_at",
     "encode_depth",
     "fundamental_from_cameras",
+    "image_size",
+    "known_sets",
     "read_depth",
     "read_pair_set",
     "reproject",
+    "transfer",
+    "transfer_distance",
     "view_difference",
     "write_control_points",
     "write_pair_set",

@@ -99,6 +99,51 @@ def read_control_points(path: Path) -> tuple[FloatArray, FloatArray]:
     return np.ascontiguousarray(points[:, :2]), np.ascontiguousarray(points[:, 2:])
 
 
+def read_matrix(path: Path) -> FloatArray:
+    """Return the 3 x 3 matrix of a text file: three rows of three numbers, blanks or commas between.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be read, a value is not a finite number, or the shape is another.
+    """
+    rows = []
+    for line, text in read_lines(path):
+        values = _floats(text.replace(",", " ").split())
+        if len(values) != 3 or not np.isfinite(values).all():
+            raise DatasetError(f"{path}, line {line}: {text.strip()!r} are not three finite numbers")
+        rows.append(values)
+    if len(rows) != 3:
+        raise DatasetError(f"{path}: {len(rows)} rows of a matrix, expected 3")
+    return np.array(rows)
+
+
+def read_lines(path: Path) -> list[tuple[int, str]]:
+    """Return the lines of a text file that are not blank, with their numbers from 1.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{path}: cannot be read: {error}") from error
+    return [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+
+
+def _floats(values: list[str]) -> list[float]:
+    """Return numbers, NaN where a text is none."""
+    numbers = []
+    for value in values:
+        try:
+            numbers.append(float(value))
+        except ValueError:
+            numbers.append(float("nan"))
+    return numbers
+
+
 def encode_depth(depth: Float32Array) -> bytes:
     """Return a depth map as the bytes of an ``.npz`` file with the key ``depth``.
 

@@ -73,7 +73,7 @@ def write_pair_set(root: Path, pairs: Sequence[PairFiles]) -> None:
             (root / "images" / f"{stem}.jpg").write_bytes(jpeg)
             (root / "depth" / f"{stem}.npz").write_bytes(depth)
         pair_rows.append([pair.pair_id, *images, "cameras", pair.scene, pair.difficulty])
-        camera_rows += [_camera_row(images[0], pair.camera1), _camera_row(images[1], pair.camera2)]
+        camera_rows += [camera_row(images[0], pair.camera1), camera_row(images[1], pair.camera2)]
     write_table(root / "pairs.csv", PAIR_COLUMNS, pair_rows)
     write_table(root / "cameras.csv", CAMERA_COLUMNS, camera_rows)
 
@@ -85,9 +85,23 @@ def write_control_points(path: Path, x1: FloatArray, x2: FloatArray) -> None:
     write_table(path, POINT_COLUMNS, rows)
 
 
-def _camera_row(image: str, camera: Camera) -> list[str]:
-    """Return a row of ``cameras.csv``; floats as their shortest exact text."""
+def write_matrix(path: Path, matrix: FloatArray) -> None:
+    """Write a 3 x 3 matrix as three lines of text, floats as their shortest exact text."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(" ".join(repr(float(value)) for value in row) + "\n" for row in matrix), encoding="utf-8")
+
+
+def camera_row(image: str, camera: Camera) -> list[str]:
+    """Return a row of ``cameras.csv``; floats as their shortest exact text.
+
+    Raises
+    ------
+    DatasetError
+        If the camera has a skew, for which there is no column.
+    """
     K = camera.K
+    if abs(K[0, 1]) > 1e-6 * K[0, 0]:
+        raise DatasetError(f"camera of {image!r}: a skew of {K[0, 1]:g} px cannot be written")
     numbers = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.R.ravel(), *camera.t]
     return [image, str(camera.width), str(camera.height), *(repr(float(number)) for number in numbers)]
 
