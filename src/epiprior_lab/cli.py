@@ -7,6 +7,8 @@ from typing import Annotated
 import typer
 
 from epiprior.errors import EpipriorError
+from epiprior_lab.importers.commands import register as register_importers
+from epiprior_lab.label.command import label
 
 app = typer.Typer(
     help="Workspace of epiprior: evidence on photographs, registered models, the lock of the pipeline.",
@@ -14,6 +16,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+app.command()(label)
+register_importers(app)
 
 
 @app.command()
@@ -22,11 +26,14 @@ def real(
     sets: Annotated[list[str] | None, typer.Option("--set", help="Only this set; may be repeated.")] = None,
     seeds: Annotated[int, typer.Option(help="Repetitions of each estimate.")] = 3,
     out: Annotated[Path, typer.Option(help="Table of results, a row per pair.")] = Path("reports/real.csv"),
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler that gets the pairs, such as tcp://host:8786.")
+    ] = None,
 ) -> None:
     """Evaluate the exported model on sets of photographs, against both baselines."""
     from epiprior_lab.real import run_real
 
-    run_real(datasets, sets=sets, seeds=seeds, out=out)
+    run_real(datasets, sets=sets, seeds=seeds, out=out, scheduler=scheduler)
 
 
 @app.command()
@@ -38,6 +45,16 @@ def promote(
 
     for name, version in tracking.promote(preset).items():
         typer.echo(f"{name}: version {version} is the champion")
+
+
+@app.command()
+def readme(
+    root: Annotated[Path, typer.Option(help="Root of the repository.")] = Path(),
+) -> None:
+    """Write the result tables of the README anew from the reports."""
+    from epiprior_lab.readme import update_readme
+
+    typer.echo("README.md: tables written" if update_readme(root) else "README.md: its tables are those of the reports")
 
 
 @app.command("check-lock")

@@ -1,0 +1,325 @@
+// The page: puts the panes, the list and the server together.
+
+import { Pairs } from "./pairs.js";
+import { Pane } from "./pane.js";
+import { NEEDED, fillList, plural, verdict } from "./list.js";
+import * as server from "./server.js";
+
+const byId = (id) => document.getElementById(id);
+
+let pairs, panes, revision, fileName, judgedFrom;
+let found = null; // the fit: F, and by id its residuals and who is far off
+let fitted = null, fitting = false; // the list that was fitted last; whether an answer is awaited
+let selected = null, hovered = null, activeSide = 0, showLines = true, drawing = false, ended = false;
+
+// --- what is shown
+
+function redraw() {
+  if (drawing) return;
+  drawing = true;
+  requestAnimationFrame(() => {
+    drawing = false;
+    const scene = {
+      pairs: pairs.list,
+      pending: pairs.pending,
+      pendingColour: pairs.pendingColour,
+      farOff: found?.farOff ?? new Set(),
+      colour: (id) => pairs.colour(id),
+      strong: (id) => id === selected || id === hovered,
+      lines,
+    };
+    for (const pane of panes) pane.draw(scene);
+  });
+}
+
+// The epipolar lines in one image: of the point that waits for its partner, else of the pair under the cursor.
+function lines(side) {
+  if (!found?.F || !showLines) return [];
+  const { pending } = pairs;
+  if (pending) return pending.side === side ? [] : [{ line: lineOf(pending.xy, side), colour: pairs.pendingColour }];
+  const pair = pairs.find(hovered) ?? pairs.find(selected);
+  return pair ? [{ line: lineOf(pair.points[1 - side], side), colour: pairs.colour(pair.id) }] : [];
+}
+
+// x2' F x1 = 0: a point of image 1 gives the line F x1 in image 2, a point of image 2 the line F' x2 in image 1.
+function lineOf([x, y], side) {
+  const { F } = found;
+  const at = (row, column) => (side === 1 ? F[row][column] : F[column][row]);
+  return [0, 1, 2].map((row) => at(row, 0) * x + at(row, 1) * y + at(row, 2));
+}
+
+function refreshText() {
+  const { pending } = pairs;
+  const count = pairs.list.length;
+  byId("count").textContent = count;
+  byId("undo").disabled = !pairs.canUndo;
+  byId("redo").disabled = !pairs.canRedo;
+  byId("save").disabled = !pairs.dirty;
+  byId("saved").textContent = pairs.dirty ? "not saved" : revision ? "saved" : "new";
+  byId("saved").classList.toggle("dirty", pairs.dirty);
+  const first = "Click a point in either image, then the same point in the other.";
+  const next = `Now the same point in the ${pending?.side === 0 ? "second" : "first"} image.`;
+  byId("hint").textContent = pending ? next : count ? "" : first;
+  byId("hint").classList.toggle("next", Boolean(pending));
+  panes.forEach((pane) => pane.root.classList.toggle("wanted", Boolean(pending) && pending.side !== pane.side));
+  document.title = `${pairs.dirty ? "• " : ""}${fileName} · epiprior label`;
+  const [text, bad] = verdict(count, found, judgedFrom);
+  byId("verdict").textContent = text;
+  byId("verdict").classList.toggle("bad", bad);
+  fillList(byId("list"), pairs, found, { selected, hovered });
+}
+
+function say(text, actions = []) {
+  const box = byId("message");
+  box.hidden = !text;
+  box.querySelector("span").textContent = text ?? "";
+  box.querySelector("div").replaceChildren(...[...actions, ["Close", () => {}]].map(([label, act]) => {
+    const button = document.createElement("button");
+    button.textContent = label;
+    button.addEventListener("click", () => { say(null); act(); });
+    return button;
+  }));
+}
+
+// --- changes
+
+function changed() {
+  if (!pairs.find(selected)) selected = null;
+  if (!pairs.find(hovered)) hovered = null;
+  if (pairs.list.length < NEEDED) found = null;
+  refreshText();
+  redraw();
+  return fitAgain();
+}
+
+// One question at a time: what changes meanwhile, as during a drag, is asked about once the answer is there.
+async function fitAgain() {
+  if (fitting) return;
+  fitting = true;
+  while (pairs.list.length >= NEEDED && fitted !== pairs.list) {
+    const list = pairs.list;
+    try {
+      found = arranged(list, await server.fit(list.map(({ points }) => points.flat())));
+    } catch (error) {
+      found = null;
+      if (!ended) say(error.message);
+    }
+    fitted = list;
+    if (pairs.list.length < NEEDED) found = null;
+    refreshText();
+    redraw();
+  }
+  fitting = false;
+}
+
+function arranged(list, sent) {
+  if (!sent.F) return { F: null, residuals: new Map(), farOff: new Set() };
+  return {
+    F: sent.F,
+    residuals: new Map(list.map(({ id }, index) => [id, sent.residuals[index]])),
+    farOff: new Set(list.filter((_, index) => sent.far_off[index]).map(({ id }) => id)),
+    onePlane: sent.one_plane,
+  };
+}
+
+function select(id) {
+  selected = id;
+  refreshText();
+  redraw();
+}
+
+function remove(id) {
+  pairs.remove(id);
+  changed();
+}
+
+const events = {
+  changed: redraw,
+  hover(side, id) {
+    activeSide = side;
+    const now = typeof id === "number" ? id : null;
+    if (now !== hovered) {
+      hovered = now;
+      refreshText();
+    }
+    redraw();
+  },
+  select: (id) => select(id === "pending" ? null : id),
+  place(side, xy) {
+    selected = pairs.place(side, xy);
+    changed();
+  },
+  drag(side, id, [dx, dy], going) {
+    const [x, y] = id === "pending" ? pairs.pending.xy : pairs.find(id).points[side];
+    const xy = panes[side].clamp([x + dx, y + dy]);
+    if (id === "pending") pairs.movePending(xy, going);
+    else pairs.move(id, side, xy, going);
+    if (id !== "pending") selected = id;
+    changed();
+  },
+};
+
+// --- the server
+
+async function save() {
+  const points = pairs.points();
+  try {
+    ({ revision } = await server.save(points, revision));
+  } catch (error) {
+    if (error.status === 409) {
+      say(`${error.message}.`, [["Save mine all the same", overwrite], ["Load that file instead", load]]);
+    } else {
+      say(`Not saved: ${error.message}`);
+    }
+    return false;
+  }
+  say(null);
+  pairs.markSaved(points);
+  refreshText();
+  return true;
+}
+
+async function overwrite() {
+  try {
+    ({ revision } = await server.state());
+    await save();
+  } catch (error) {
+    say(error.message);
+  }
+}
+
+async function load() {
+  try {
+    const state = await server.state();
+    revision = state.revision;
+    pairs.replace(state.points);
+    changed();
+  } catch (error) {
+    say(error.message);
+  }
+}
+
+async function done() {
+  if (pairs.dirty && !(await save())) return;
+  try {
+    const { count } = await server.done();
+    ended = true;
+    byId("end").hidden = false;
+    byId("end").firstElementChild.textContent =
+      count === null ? "Nothing was saved. You can close this tab."
+        : `${plural(count, "pair")} of points in ${fileName}. You can close this tab.`;
+  } catch (error) {
+    say(error.message);
+  }
+}
+
+// --- keys and buttons
+
+function toggle(button, shown) {
+  byId(button).setAttribute("aria-pressed", String(shown));
+}
+
+const fitAll = () => panes.forEach((pane) => pane.fit());
+const back = (step) => () => { pairs[step](); changed(); };
+
+function toggleLines() {
+  showLines = !showLines;
+  toggle("lines", showLines);
+  redraw();
+}
+
+function toggleKeys(shown = byId("keys").hidden) {
+  byId("keys").hidden = !shown;
+  toggle("help", shown);
+}
+
+function nudge(dx, dy, event) {
+  const pair = pairs.find(selected);
+  if (!pair) return;
+  const pane = panes[activeSide];
+  const step = (event.shiftKey ? 10 : 1) / pane.scale;
+  const [x, y] = pair.points[activeSide];
+  pairs.move(selected, activeSide, pane.clamp([x + dx * step, y + dy * step]));
+  changed();
+}
+
+function escape() {
+  if (!byId("keys").hidden) return toggleKeys(false);
+  if (pairs.pending) {
+    pairs.dropPending();
+    return changed();
+  }
+  return select(null);
+}
+
+const keys = {
+  ArrowLeft: (event) => nudge(-1, 0, event),
+  ArrowRight: (event) => nudge(1, 0, event),
+  ArrowUp: (event) => nudge(0, -1, event),
+  ArrowDown: (event) => nudge(0, 1, event),
+  Delete: () => selected !== null && remove(selected),
+  Backspace: () => selected !== null && remove(selected),
+  Escape: escape,
+  "+": () => panes[activeSide].zoom(1.25),
+  "=": () => panes[activeSide].zoom(1.25),
+  "-": () => panes[activeSide].zoom(0.8),
+  1: () => panes[activeSide].zoomTo(1 / devicePixelRatio),
+  f: fitAll,
+  l: toggleLines,
+  "?": () => toggleKeys(),
+};
+const controlKeys = { z: back("undo"), y: back("redo"), Z: back("redo"), s: save };
+
+function listen() {
+  const buttons = { undo: back("undo"), redo: back("redo"), fit: fitAll, lines: toggleLines, help: () => toggleKeys(), save, done };
+  for (const [id, act] of Object.entries(buttons)) byId(id).addEventListener("click", () => act());
+  addEventListener("keydown", (event) => {
+    const control = event.ctrlKey || event.metaKey;
+    const shifted = control && event.shiftKey;
+    const key = event.key.length > 1 ? event.key : shifted ? event.key.toUpperCase() : event.key.toLowerCase();
+    const act = control ? controlKeys[key] : event.altKey ? undefined : keys[key];
+    if (!act || ended) return;
+    event.preventDefault();
+    act(event);
+  });
+  addEventListener("beforeunload", (event) => {
+    if (pairs.dirty && !ended) event.preventDefault();
+  });
+  const list = byId("list");
+  const idOf = (event) => (event.target.closest("li") ? Number(event.target.closest("li").dataset.id) : null);
+  list.addEventListener("click", (event) => {
+    const id = idOf(event);
+    if (id === null) return;
+    if (event.target.closest("button")) return remove(id);
+    const pair = pairs.find(id);
+    panes.forEach((pane) => pane.show(pair.points[pane.side]));
+    select(id);
+  });
+  const hoverRow = (id) => {
+    if (id === hovered) return;
+    hovered = id;
+    for (const row of list.children) row.classList.toggle("hovered", Number(row.dataset.id) === id);
+    redraw();
+  };
+  list.addEventListener("mouseover", (event) => hoverRow(idOf(event)));
+  list.addEventListener("mouseleave", () => hoverRow(null));
+}
+
+async function start() {
+  try {
+    const [state, ...pictures] = await Promise.all([server.state(), server.image(1), server.image(2)]);
+    ({ revision, file: fileName, judged_from: judgedFrom } = state);
+    pairs = new Pairs(state.points);
+    panes = [];
+    byId("file").textContent = fileName;
+    const quiet = { ...events, changed: () => panes.length === 2 && redraw() };
+    for (const side of [0, 1]) panes.push(new Pane(byId(`pane${side + 1}`), side, pictures[side], state.images[side], quiet));
+    listen();
+    await changed();
+    document.body.dataset.ready = "yes";
+  } catch (error) {
+    say(error.message);
+  }
+}
+
+start();
