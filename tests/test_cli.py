@@ -31,6 +31,7 @@ KEYS = [
     "iterations",
     "estimator",
     "version",
+    "input",
     "preset",
     "roll_deg",
     "seed",
@@ -64,6 +65,7 @@ def estimate_of(status=Status.OK, message="", **changes):
         iterations=17,
         estimator="usac",
         version="opencv 5",
+        input="default",
         message=message,
         seconds={"estimator": 0.25},
     )
@@ -118,7 +120,8 @@ def test_estimate_as_json(library):
     assert calls["estimate"] == {
         "images": (Path("a.jpg"), Path("b.jpg")),
         "estimator": "prosac",
-        "preprocess": True,
+        "mode": None,
+        "preprocess": None,
         "preset": "default",
         "seed": 5,
         "threshold_px": 2.5,
@@ -126,10 +129,20 @@ def test_estimate_as_json(library):
 
 
 def test_estimate_without_preprocessing(library):
-    calls, _ = library
+    calls, state = library
+    state["estimate"] = estimate_of(input="standard")
     printed = json.loads(run("estimate", "a", "b", "--no-preprocess").stdout)
-    assert calls["estimate"]["preprocess"] is False
-    assert printed["preset"] is None
+    assert (calls["estimate"]["preprocess"], calls["estimate"]["mode"]) == (False, None)
+    assert (printed["input"], printed["preset"]) == ("standard", None)
+
+
+def test_estimate_with_a_mode(library):
+    calls, _ = library
+    printed = json.loads(run("estimate", "a", "b", "--mode", "cascade").stdout)
+    assert (calls["estimate"]["preprocess"], calls["estimate"]["mode"]) == (None, "cascade")
+    assert (printed["input"], printed["preset"]) == ("default", "default")
+    assert "default matches; roll" in run("estimate", "a", "b", "--mode", "cascade", "--text").stdout
+    assert run("estimate", "a", "b", "--mode", "waterfall").exit_code == 2
 
 
 def test_estimate_as_text(library):
@@ -271,6 +284,7 @@ def test_estimators():
     rows = {row["name"]: row for row in json.loads(run("estimators", "--json").stdout)}
     assert rows["usac"] == {"name": "usac", "available": True, "status": "available", "licence": "Apache-2.0"}
     assert set(rows) == set(epiprior.estimators())
+    assert all(row["licence"] for row in rows.values())
 
 
 def test_info_of_nothing(tmp_path):
@@ -356,7 +370,7 @@ def photographs(tmp_path_factory):
     }
 
 
-@pytest.mark.parametrize("how", ["--preprocess", "--no-preprocess"])
+@pytest.mark.parametrize("how", ["--preprocess", "--no-preprocess", "--mode=cascade"])
 def test_a_good_pair(with_model, photographs, how):
     result = run("estimate", photographs["left"], photographs["right"], how, "--json")
     assert result.exit_code == 0, result.stderr
@@ -423,6 +437,9 @@ def test_unknown_names(with_model, photographs):
         assert result.exit_code == 2
         assert "nonsense" in one_line(result)
     assert "threshold" in one_line(run("estimate", *pair, "--threshold", "-1"))
+    both = run("estimate", *pair, "--mode", "cascade", "--no-preprocess")
+    assert both.exit_code == 2
+    assert "mode is 'cascade', but preprocess is False" in one_line(both)
 
 
 def test_match_writes_probabilities(with_model, photographs, tmp_path):

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epiprior import preprocess
 from epiprior.errors import EstimatorError, FeatureError, SettingsError
-from epiprior.estimate import estimate_from_matches, estimate_fundamental
+from epiprior.estimate import estimate_from_matches
 from epiprior.estimators import EstimatorSettings, run
+from epiprior.estimators import fit as run_fit
 from epiprior.geometry import sampson_distance
 from epiprior.handover import HandOver
-from epiprior.types import MatchSet, RankedMatches, Status
-from pictures import relief_pair, texture
+from epiprior.types import MatchSet, Status
 from synthetic import SyntheticPair, make_matches, make_pair
 
 PAPER = HandOver(one_to_one=True, top_k=300)
@@ -179,6 +178,27 @@ def test_large_images_are_measured_at_working_size():
     assert unscaled.support < small.support
 
 
+def test_rough_matrices_reach_the_estimator_in_working_pixels(monkeypatch):
+    """Half a pair's matches as given, in images of two and four times the working size, with F of given pixels."""
+    pair = make_pair(outliers=0)
+    m = pair.matches
+    given = np.linalg.inv(np.diag([4.0, 4.0, 1.0])).T @ pair.F @ np.linalg.inv(np.diag([2.0, 2.0, 1.0]))
+    large = replace(m, x1=m.x1 * 2, x2=m.x2 * 4, rough_matrices=np.stack([given, 5 * given]))
+    seen = []
+
+    def fit(name, matches, **options):
+        seen.append(matches)
+        return run_fit(name, matches, **options)
+
+    monkeypatch.setattr("epiprior.estimate.fit", fit)
+    estimate_from_matches([large], estimator="usac", hand_over=FULL, pixel_factors=(2.0, 4.0))
+    for F in seen[0].rough_matrices:
+        assert sampson_distance(F, seen[0].x1, seen[0].x2) == pytest.approx(
+            sampson_distance(pair.F, seen[0].x1, seen[0].x2), rel=1e-6, abs=1e-9
+        )
+    np.testing.assert_allclose(seen[0].x1.max(axis=0), m.x1.max(axis=0))
+
+
 def test_settings_override_the_threshold_of_the_hand_over():
     pair = make_pair(noise_px=1.0)
     settings = EstimatorSettings(threshold_px=0.5)
@@ -195,58 +215,3 @@ def test_bad_input_is_refused():
     bad = make_matches(np.where(np.arange(300)[:, None] == 3, np.nan, m.x1), m.x2)
     with pytest.raises(FeatureError, match="row 3"):
         estimate_from_matches([bad], estimator="usac", hand_over=HandOver())
-
-
-def ranked_of(matches: MatchSet, standard: MatchSet) -> RankedMatches:
-    return RankedMatches(sets=(matches,), standard=standard, seconds={"votes": 0.5}, preset="default")
-
-
-def test_two_pictures_without_preprocessing():
-    left, right = relief_pair()
-    estimate = estimate_fundamental(left, right, preprocess=False)
-    assert estimate.status is Status.OK
-    # Cameras side by side: epipolar lines are rows.
-    rows = np.array([[0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
-    assert sampson_distance(rows, estimate.x1, estimate.x2)[estimate.inliers].max() < 3.0
-    grid = np.stack(np.meshgrid([60.0, 240, 420], [50.0, 180, 310]), axis=-1).reshape(-1, 2)
-    assert sampson_distance(estimate.F, grid, grid - [25.0, 0.0]).max() < 2.0
-    assert {"standard matches", "estimator", "support"} <= set(estimate.seconds)
-
-
-def test_ranked_matches_are_used_and_their_seconds_kept(monkeypatch):
-    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("ranked a second time"))
-    pair, picture = make_pair(), texture()
-    ranked = ranked_of(pair.matches, pair.matches.take(slice(7)))
-    estimate = estimate_fundamental(picture, picture, ranked=ranked)
-    assert pair.error_px(estimate.F) < 0.6
-    assert estimate.seconds["votes"] == 0.5
-    assert estimate_fundamental(picture, picture, ranked=ranked, preprocess=False).status is Status.TOO_FEW_MATCHES
-
-
-def test_images_are_ranked_with_the_preset(monkeypatch):
-    pair, asked = make_pair(), []
-
-    def rank(image1, image2, *, preset):
-        asked.append(preset)
-        return ranked_of(pair.matches, pair.matches)
-
-    monkeypatch.setattr(preprocess, "rank_matches", rank)
-    estimate = estimate_fundamental(texture(), texture(), preset="paper", estimator="prosac", threshold_px=2.5)
-    assert asked == ["paper"]
-    assert estimate.estimator == "prosac"
-    assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 2.5)
-
-
-def test_unknown_estimator_fails_before_any_work(monkeypatch):
-    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
-    with pytest.raises(EstimatorError, match="'usak'"):
-        estimate_fundamental(texture(), texture(), estimator="usak")
-
-
-def test_identical_images_and_black_images():
-    picture = texture()
-    same = estimate_fundamental(picture, picture, preprocess=False)
-    assert same.status is Status.DEGENERATE
-    assert "nothing moved" in same.message
-    black = np.zeros((200, 300), np.uint8)
-    assert estimate_fundamental(black, black, preprocess=False).status is Status.TOO_FEW_MATCHES

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -23,10 +26,14 @@ from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate, MatchSet, Status
 from synthetic import make_matches, make_pair
 
-KNOWN = ("usac", "magsac++", "gc-ransac", "prosac", "lo-ransac", "degensac", "colmap")
 IN_ORDER = ("usac", "magsac++", "gc-ransac", "prosac")
+BY_PROBABILITY = ("guided-mlesac", "beem", "blogs", "generalized-ransac")
+WITHOUT_PRIOR = ("lo-ransac", "degensac", "colmap")
+DETERMINISTIC = ("epiprior",)
+KNOWN = {*IN_ORDER, *BY_PROBABILITY, *WITHOUT_PRIOR, *DETERMINISTIC}
 AVAILABLE = [name for name, state in estimators().items() if state == "available"]
 each_estimator = pytest.mark.parametrize("name", AVAILABLE)
+each_random_estimator = pytest.mark.parametrize("name", [name for name in AVAILABLE if name not in DETERMINISTIC])
 
 
 def assert_sound(estimate: FundamentalEstimate, matches: MatchSet, threshold_px: float = 1.5) -> None:
@@ -53,8 +60,8 @@ def same_bytes(a: FundamentalEstimate, b: FundamentalEstimate) -> bool:
 
 
 def test_registry_names_states_and_licences():
-    assert names() == KNOWN
-    assert tuple(estimators()) == tuple(licences()) == KNOWN
+    assert set(names()) == KNOWN
+    assert tuple(estimators()) == tuple(licences()) == names()
     assert epiprior.estimators() == estimators()
     assert estimators()["usac"] == "available"
     assert all(licences().values())
@@ -71,11 +78,13 @@ def test_easy_pair(name):
     assert estimate.inliers[~pair.right].mean() < 0.05
 
 
-@pytest.mark.parametrize("name", IN_ORDER)
+@each_estimator
 def test_five_percent_inliers_in_a_good_order(name):
+    """Those that take no prior get the head of the order, the others all."""
     pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
-    estimate = run(name, pair.matches)
-    assert_sound(estimate, pair.matches)
+    matches = pair.matches.take(slice(80)) if name in WITHOUT_PRIOR else pair.matches
+    estimate = run(name, matches)
+    assert_sound(estimate, matches)
     assert pair.error_px(estimate.F) < 2.0
 
 
@@ -84,6 +93,17 @@ def test_the_order_is_the_prior_that_is_used(name):
     pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
     shuffled = pair.matches.take(np.random.default_rng(0).permutation(len(pair.matches)))
     assert not pair.error_px(run(name, shuffled, settings=EstimatorSettings(max_iterations=2_000)).F) < 10
+
+
+@pytest.mark.parametrize("name", BY_PROBABILITY)
+def test_the_probability_is_the_prior_that_is_used(name):
+    """The order says nothing to these, equal probabilities are no help."""
+    pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
+    walk = np.random.default_rng(0).permutation(len(pair.matches))
+    shuffled = pair.matches.take(walk)
+    assert pair.error_px(run(name, shuffled).F) < 2.0
+    equal = replace(shuffled, probability=np.full(len(shuffled), 0.05))
+    assert not pair.error_px(run(name, equal, settings=EstimatorSettings(max_iterations=1_000)).F) < 10
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -182,7 +202,13 @@ def test_same_seed_same_bytes(name):
     assert same_bytes(run(name, matches, seed=5), run(name, matches, seed=5))
 
 
-@each_estimator
+@pytest.mark.parametrize("name", DETERMINISTIC)
+def test_the_seed_of_a_deterministic_estimator_changes_nothing(name):
+    matches = make_pair(inliers=60, outliers=140, order=2.0).matches
+    assert same_bytes(run(name, matches, seed=5), run(name, matches, seed=6))
+
+
+@each_random_estimator
 def test_another_seed_draws_otherwise(name):
     """On noisy matches with many near-best models: seeds that did nothing would all give one F."""
     matches = make_pair(inliers=80, outliers=80, noise_px=2.0, order=0.5, seed=1).matches
@@ -221,6 +247,53 @@ def test_opencv_none_with_a_garbage_mask_is_no_model(monkeypatch):
     estimate = run("magsac++", matches)
     assert_sound(estimate, matches)
     assert estimate.status is Status.NO_MODEL
+
+
+def backend_answers(monkeypatch, name, F):
+    """Let the backend of an estimator return `F`, beside a mask that is garbage."""
+    garbage = np.full((300, 1), 205, np.uint8)
+    if name in ("usac", "magsac++", "gc-ransac"):
+        monkeypatch.setattr(cv2, "findFundamentalMat", lambda *_: (F, garbage))
+    elif name in ("prosac", "lo-ransac"):
+        poselib = pytest.importorskip("poselib")
+        info = {"iterations": 3, "inliers": garbage}
+        monkeypatch.setattr(poselib, "estimate_fundamental", lambda *_: (F, info))
+    elif name == "degensac":
+        pydegensac = pytest.importorskip("pydegensac")
+        monkeypatch.setattr(pydegensac, "findFundamentalMatrix", lambda *_, **__: (F, garbage))
+    elif name == "colmap":
+        pycolmap = pytest.importorskip("pycolmap")
+        answer = {"F": F, "inlier_mask": garbage}
+        monkeypatch.setattr(pycolmap, "estimate_fundamental_matrix", lambda *_: answer)
+    else:
+        backend = SimpleNamespace(**{k: getattr(registry.find_estimator(name), k) for k in ("name", "max_iterations")})
+        backend.missing, backend.version = str, lambda: "1"
+        backend.fit = lambda *_, **__: RawModel(F=F)
+        monkeypatch.setitem(registry._REGISTRY, name, backend)
+
+
+@pytest.mark.parametrize(
+    "F",
+    [np.full((3, 3), np.nan), np.zeros((3, 3)), np.ones((9, 3))],
+    ids=["nan", "zero", "stack"],
+)
+@each_estimator
+def test_no_matrix_of_any_backend_is_taken_for_a_model(monkeypatch, name, F):
+    backend_answers(monkeypatch, name, F)
+    matches = make_pair().matches
+    estimate = run(name, matches)
+    assert_sound(estimate, matches)
+    assert estimate.status is Status.NO_MODEL
+
+
+@each_estimator
+def test_the_mask_of_no_backend_is_looked_at(monkeypatch, name):
+    pair = make_pair()
+    backend_answers(monkeypatch, name, pair.F)
+    estimate = run(name, pair.matches)
+    assert_sound(estimate, pair.matches)
+    assert estimate.status is Status.OK
+    assert estimate.inliers[~pair.right].mean() < 0.05
 
 
 @pytest.mark.parametrize(
@@ -280,7 +353,8 @@ def test_unknown_estimator_is_named():
 
 def test_missing_backend_says_what_to_install(monkeypatch):
     monkeypatch.setattr("epiprior.estimators.packages.importlib.util.find_spec", lambda _: None)
-    assert registry.estimators()["degensac"].startswith("pip install")
+    assert registry.estimators()["degensac"] == 'pip install "epiprior[degensac]"'
+    assert registry.estimators()["colmap"].startswith("pip install")
     with pytest.raises(EstimatorError, match=r'prosac is not installed: pip install "epiprior\[poselib\]"'):
         run("prosac", make_pair().matches)
 

@@ -19,10 +19,9 @@ from epiprior.handover import (
     find_hand_overs,
     hand_over,
     load_hand_overs,
-    one_to_one_mask,
     save_hand_overs,
-    spread_mask,
 )
+from epiprior.selection import one_to_one_mask, spread_mask
 from synthetic import make_matches, make_pair
 
 
@@ -155,7 +154,7 @@ def test_values_out_of_range_are_named(bad):
 def test_defaults_exist_for_everything_and_differ_in_what_they_take():
     table = {name: {kind: default_hand_over(name, kind) for kind in INPUTS} for name in names()}
     assert table["usac"]["standard"].max_distance_ratio == 0.85
-    assert table["usac"]["default"].top_k > table["colmap"]["default"].top_k
+    assert table["beem"]["default"].top_k > table["usac"]["default"].top_k > table["colmap"]["default"].top_k
     assert table["usac"]["default"].collect
     assert not table["usac"]["paper"].refine
     with pytest.raises(SettingsError, match="'lowe'"):

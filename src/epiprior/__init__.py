@@ -11,7 +11,8 @@ from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from epiprior.baselines import snn_matches, standard_matches
+    from epiprior.baselines import generalized_matches, snn_matches, standard_matches
+    from epiprior.cascade import CascadeRule
     from epiprior.errors import (
         EpipriorError,
         EstimatorError,
@@ -21,9 +22,9 @@ if TYPE_CHECKING:
         OutputError,
         SettingsError,
     )
-    from epiprior.estimate import estimate_fundamental
     from epiprior.estimators import estimators
     from epiprior.features import FeatureSettings
+    from epiprior.fundamental import estimate_fundamental
     from epiprior.handover import HandOver
     from epiprior.models import load_model
     from epiprior.preprocess import rank_matches
@@ -34,6 +35,7 @@ __version__ = metadata.version("epiprior")
 
 # Names are imported when they are first used, so that `epiprior --help` need not wait for compiled libraries.
 _HOMES = {
+    "CascadeRule": "cascade",
     "EpipriorError": "errors",
     "EstimatorError": "errors",
     "FeatureError": "errors",
@@ -49,7 +51,8 @@ _HOMES = {
     "PreprocessSettings": "presets",
     "RankedMatches": "types",
     "Status": "types",
-    "estimate_fundamental": "estimate",
+    "estimate_fundamental": "fundamental",
+    "generalized_matches": "baselines",
     "load_model": "models",
     "rank_matches": "preprocess",
     "snn_matches": "baselines",
@@ -57,6 +60,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "CascadeRule",
     "EpipriorError",
     "EstimatorError",
     "FeatureError",
@@ -75,6 +79,7 @@ __all__ = [
     "__version__",
     "estimate_fundamental",
     "estimators",
+    "generalized_matches",
     "load_model",
     "rank_matches",
     "snn_matches",

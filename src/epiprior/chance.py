@@ -68,7 +68,7 @@ def chance_rate(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: flo
     return min((hits + _PRIOR_PAIRINGS * strip) / (len(y1) + _PRIOR_PAIRINGS), 1.0)
 
 
-def beyond_chance(supporters: int, matches: int, rate: float, fitted: int) -> bool:
+def beyond_chance(supporters: int, matches: int, rate: float, fitted: int, *, level: float = 1.0) -> bool:
     """Return whether `supporters` of `matches` are more than the best of many random hypotheses would have.
 
     Parameters
@@ -79,11 +79,13 @@ def beyond_chance(supporters: int, matches: int, rate: float, fitted: int) -> bo
         Probability that a random match agrees with a hypothesis it did not make.
     fitted : int
         Matches that make a hypothesis and agree with it for free: 7 for F, 2 for an F given a plane.
+    level : float
+        How many hypotheses may be expected to reach `supporters` by chance, > 0.
 
     Returns
     -------
     bool
-        True where fewer than one of the hypotheses is expected to reach `supporters` by chance. As many
+        True where fewer than `level` of the hypotheses are expected to reach `supporters` by chance. As many
         hypotheses are counted as can be drawn, up to 100,000 (20,000 samples of up to three matrices each,
         and their local optimisation).
     """
@@ -91,4 +93,4 @@ def beyond_chance(supporters: int, matches: int, rate: float, fitted: int) -> bo
     if supporters <= fitted or free <= 0:
         return False
     drawn = min(float(math.comb(matches, fitted)), float(HYPOTHESES))
-    return bool(drawn * bdtrc(supporters - fitted - 1, free, rate) < 1.0)
+    return bool(drawn * bdtrc(supporters - fitted - 1, free, rate) < level)

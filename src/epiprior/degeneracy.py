@@ -17,6 +17,7 @@ from epiprior.types import BoolArray, FloatArray
 
 _MATCHES_PER_EPIPOLE = 2
 _MATCHES_BESIDE_LINE = 4
+_DECIDED_LEVEL = 0.02
 _PARALLAX_LEVEL = 1e-4
 _NOTHING_MOVED_PX = 1e-3
 
@@ -59,8 +60,9 @@ def why_degenerate(
 
     - more inliers lie off the plane than chance gives: two matches off the plane fix the epipole, the others
       have to fall on its epipolar lines. Their number is held against the best of all pairs of off-plane
-      matches under the binomial law, the rate measured on the pair itself (`epiprior.chance`): with 100
-      outliers this takes about 5 or 6 matches off the plane, with 1,000 about 18; or
+      matches under the binomial law, the rate measured on the pair itself (`epiprior.chance`), at a level of 0.02: of 6
+      photographed matches off a plane 3 met in an epipole, which is no proof. With 100 outliers it takes about 8
+      matches off the plane, with 1,000 about 21; or
     - of the matches near the plane more have a long residual along the epipolar line than across it: longer
       than three standard deviations across, and more of them than a fair coin gives at 1e-4. Noise and
       outliers have no such direction; shallow relief, whose parallax stays below the plane's threshold, has.
@@ -101,7 +103,7 @@ def _decided_by(
 ) -> bool:
     """Return whether more of the matches `outside` the degenerate part agree with F than chance gives."""
     supporters = distinct_count(x1[inliers & outside], x2[inliers & outside])
-    return beyond_chance(supporters, distinct_count(x1[outside], x2[outside]), rate, fitted)
+    return beyond_chance(supporters, distinct_count(x1[outside], x2[outside]), rate, fitted, level=_DECIDED_LEVEL)
 
 
 def fit_homography(x1: FloatArray, x2: FloatArray, threshold_px: float) -> FloatArray | None:

@@ -10,85 +10,14 @@ import numpy as np
 
 from epiprior.chance import chance_rate
 from epiprior.errors import SettingsError
-from epiprior.estimators import EstimatorSettings, find_estimator, fit
+from epiprior.estimators import EstimatorSettings, fit
+from epiprior.estimators.epiprior_evidence import telling_score
 from epiprior.estimators.registry import Fit
 from epiprior.estimators.verdict import judge
-from epiprior.features import Image, load_photograph
 from epiprior.geometry import normalise_fundamental, sampson_distance
-from epiprior.handover import HandOver, hand_over, load_hand_overs
-from epiprior.presets import find_preset
-from epiprior.refine import refine_fundamental, weighted_score
-from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, RankedMatches, Status
-
-
-def estimate_fundamental(
-    image1: Image,
-    image2: Image,
-    *,
-    estimator: str = "usac",
-    preprocess: bool = True,
-    preset: str = "default",
-    seed: int = 0,
-    threshold_px: float | None = None,
-    ranked: RankedMatches | None = None,
-    hand_over: HandOver | None = None,
-) -> FundamentalEstimate:
-    """Estimate the fundamental matrix of two photographs.
-
-    Parameters
-    ----------
-    image1, image2 : path or ndarray
-        The photographs: a file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB.
-    estimator : str
-        Name of a robust estimator, see `epiprior.estimators`.
-    preprocess : bool
-        Whether matches are ranked by `rank_matches` first. False: the standard matches X_L, the baseline.
-    preset : str
-        ``default`` or ``paper``.
-    seed : int
-        >= 0; the same seed gives the same bytes.
-    threshold_px : float, optional
-        Inlier threshold, instead of the hand-over's. Like all thresholds it is meant at working size: an
-        image larger than the preset's `max_image_size` (1024) is measured as if it had that size.
-    ranked : RankedMatches, optional
-        From an earlier `rank_matches` on these images, to save the time.
-    hand_over : HandOver, optional
-        Instead of the one that was chosen on validation scenes for this estimator and input.
-
-    Returns
-    -------
-    FundamentalEstimate
-        `x1`, `x2`, `inliers` and `F` in pixels of the images as given.
-
-    Raises
-    ------
-    ImageError, ModelError, SettingsError, EstimatorError
-        For input that cannot be used; the message names it.
-
-    References
-    ----------
-    Paper, section 4.7.
-    """
-    from epiprior.baselines import standard_matches
-    from epiprior.preprocess import rank_matches
-
-    find_estimator(estimator)
-    settings = find_preset(preset)
-    how = hand_over or load_hand_overs()[estimator][settings.name if preprocess else "standard"]
-    if threshold_px is not None:
-        how = replace(how, threshold_px=threshold_px)
-    start = time.perf_counter()
-    seconds: dict[str, float] = {}
-    if preprocess:
-        ranked = ranked or rank_matches(image1, image2, preset=preset)
-        sets, seconds = ranked.sets, dict(ranked.seconds)
-    else:
-        sets = (ranked.standard if ranked else standard_matches(image1, image2),)
-        seconds["standard matches"] = time.perf_counter() - start
-    limit = settings.features.max_image_size
-    factors = (load_photograph(image1, limit).factor, load_photograph(image2, limit).factor)
-    estimate = estimate_from_matches(sets, estimator=estimator, seed=seed, hand_over=how, pixel_factors=factors)
-    return replace(estimate, seconds=seconds | dict(estimate.seconds))
+from epiprior.handover import HandOver, hand_over
+from epiprior.refine import refine_fundamental
+from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,9 +70,9 @@ def estimate_from_matches(
 
     Notes
     -----
-    Paper: the F with more inliers wins. Ours, where `hand_over.collect`: the sums of the probabilities of the
-    inliers decide, each lowered by its squared distance, over the one-to-one matches of the whole set. A
-    thousand improbable matches then weigh less than fifty good ones.
+    Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F
+    decides, each weighted by its probability and held against the other candidates of its features
+    (`epiprior.estimators.epiprior_evidence`). A thousand improbable matches then weigh less than fifty good ones.
     """
     if not sets:
         raise SettingsError("no set of matches was given")
@@ -180,8 +109,15 @@ def estimate_from_matches(
 def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:
     if factor1 == factor2 == 1.0:
         return matches
-    x1, x2 = matches.x1 * factor1, matches.x2 * factor2
-    return replace(matches, x1=x1, x2=x2, scale1=matches.scale1 * factor1, scale2=matches.scale2 * factor2)
+    D1, D2 = (np.diag([1 / factor, 1 / factor, 1.0]) for factor in (factor1, factor2))
+    return replace(
+        matches,
+        x1=matches.x1 * factor1,
+        x2=matches.x2 * factor2,
+        scale1=matches.scale1 * factor1,
+        scale2=matches.scale2 * factor2,
+        rough_matrices=D2 @ matches.rough_matrices @ D1,
+    )
 
 
 def _to_given_pixels(F: FloatArray, factors: tuple[float, float]) -> FloatArray | None:
@@ -203,7 +139,7 @@ def _try(matches: MatchSet, estimator: str, seed: int, how: HandOver, settings: 
     if how.refine:
         F = refine_fundamental(F, wide.x1, wide.x2, weights)
     if how.collect:
-        score = weighted_score(F, wide.x1, wide.x2, weights)
+        score = telling_score(F, matches)
         wide = _worth_having(F, wide, weights, settings.threshold_px)
     else:
         score = float(np.count_nonzero(sampson_distance(F, wide.x1, wide.x2) < settings.threshold_px))

@@ -12,15 +12,16 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
-from epiprior.errors import FeatureError, SettingsError
-from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
+from epiprior.errors import SettingsError
+from epiprior.selection import spread_mask
+from epiprior.settings_file import find_settings_file, read_settings_file
+from epiprior.types import MatchSet
 
-INPUTS = ("standard", "snn", "paper", "default")
+INPUTS = ("standard", "snn", "generalized", "paper", "default")
 _TAKES_ORDER = frozenset({"usac", "magsac++", "gc-ransac", "prosac"})
-_GRID = 8
+_TAKES_WEIGHTS = frozenset({"guided-mlesac", "beem", "blogs", "generalized-ransac", "epiprior"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,95 +86,6 @@ class HandOver:
             raise SettingsError(f"{name} is {value!r}, expected a number in [{low:g}, {high:g}]")
 
 
-@numba.njit(cache=True, nogil=True)
-def _walk(feature1, feature2, used1, used2):  # type: ignore[no-untyped-def]
-    keep = np.zeros(len(feature1), np.bool_)
-    for m in range(len(feature1)):
-        i, j = feature1[m], feature2[m]
-        if not used1[i] and not used2[j]:
-            used1[i] = used2[j] = True
-            keep[m] = True
-    return keep
-
-
-@numba.njit(cache=True, nogil=True)
-def _walk_cells(cell1, cell2, cells, limit, wanted):  # type: ignore[no-untyped-def]
-    keep = np.zeros(len(cell1), np.bool_)
-    held1 = np.zeros(cells, np.int64)
-    held2 = np.zeros(cells, np.int64)
-    taken = 0
-    for m in range(len(cell1)):
-        if taken == wanted:
-            break
-        i, j = cell1[m], cell2[m]
-        if held1[i] < limit and held2[j] < limit:
-            held1[i] += 1
-            held2[j] += 1
-            taken += 1
-            keep[m] = True
-    return keep
-
-
-def one_to_one_mask(feature1: IntArray, feature2: IntArray) -> BoolArray:
-    """Return which matches remain if a match is skipped whose feature, in either image, was used before.
-
-    Parameters
-    ----------
-    feature1, feature2 : ndarray, shape (N,), int
-        Features of the matches, best match first; any numbers >= 0.
-
-    Returns
-    -------
-    ndarray, shape (N,), bool
-        A greedy matching: no match could be added to it.
-
-    Raises
-    ------
-    FeatureError
-        If shapes disagree or a number is negative.
-    """
-    first, second = np.asarray(feature1, dtype=np.int64), np.asarray(feature2, dtype=np.int64)
-    if first.shape != second.shape or first.ndim != 1:
-        raise FeatureError(f"feature1 and feature2 have shapes {first.shape} and {second.shape}, expected (N,) twice")
-    if not len(first):
-        return np.zeros(0, dtype=np.bool_)
-    if min(first.min(), second.min()) < 0:
-        raise FeatureError(f"feature numbers must not be negative, found {min(first.min(), second.min())}")
-    # Dense numbers keep the memory at the number of matches, whatever numbers the caller uses.
-    unique1, dense1 = np.unique(first, return_inverse=True)
-    unique2, dense2 = np.unique(second, return_inverse=True)
-    mask: BoolArray = _walk(dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_))
-    return mask
-
-
-def spread_mask(x1: FloatArray, x2: FloatArray, *, top_k: int, share: float) -> BoolArray:
-    """Return the first `top_k` matches of which no cell of a grid, in either image, holds more than a share.
-
-    Parameters
-    ----------
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matches, best first, pixels. The grid of 8 x 8 cells covers the rectangle that they fill in each
-        image.
-    top_k : int
-        How many are wanted; fewer come back where the cells are full.
-    share : float
-        Most that one cell may hold, as a share of `top_k`; at least one match.
-    """
-    if not len(x1):
-        return np.zeros(0, dtype=np.bool_)
-    limit = max(1, math.ceil(share * top_k))
-    mask: BoolArray = _walk_cells(_cells(x1), _cells(x2), _GRID * _GRID, limit, top_k)
-    return mask
-
-
-def _cells(x: FloatArray) -> IntArray:
-    low = x.min(axis=0)
-    size = np.maximum(np.ptp(x, axis=0) / _GRID, 1e-9)
-    column_row = np.minimum(((x - low) / size).astype(np.int64), _GRID - 1)
-    cells: IntArray = column_row[:, 1] * _GRID + column_row[:, 0]
-    return cells
-
-
 def hand_over(matches: MatchSet, how: HandOver) -> MatchSet:
     """Return the matches that an estimator gets, in the order of the ranking.
 
@@ -209,9 +121,11 @@ def default_hand_over(estimator: str, kind: str) -> HandOver:
     Parameters
     ----------
     estimator : str
-        Name in the registry; those that sample in order get more matches than those that take no prior.
+        Name in the registry; those that sample in order get more matches than those that take no prior, and
+        those that weigh matches get most.
     kind : str
-        ``standard`` (X_L), ``snn``, ``paper`` or ``default`` (the presets).
+        ``standard`` (X_L), ``snn``, ``generalized`` (all matches above a similarity), ``paper`` or ``default``
+        (the presets).
 
     Raises
     ------
@@ -220,12 +134,14 @@ def default_hand_over(estimator: str, kind: str) -> HandOver:
     """
     if kind == "standard":
         return HandOver(max_distance_ratio=0.85)
-    if kind == "snn":
+    if kind in ("snn", "generalized"):
         return HandOver()
     if kind not in INPUTS:
         raise SettingsError(f"input is {kind!r}, known: {', '.join(INPUTS)}")
     improved = kind == "default"
-    top_k = 500 if estimator in _TAKES_ORDER else 300
+    if estimator == "epiprior":  # weighs all matches, by their rivals too, and refines
+        return HandOver(collect=True)
+    top_k = 1000 if estimator in _TAKES_WEIGHTS else 500 if estimator in _TAKES_ORDER else 300
     return HandOver(one_to_one=True, top_k=top_k, collect=improved, refine=improved)
 
 
@@ -249,7 +165,7 @@ def load_hand_overs(path: Path | None = None) -> dict[str, dict[str, HandOver]]:
     found = path if path is not None else find_hand_overs()
     if found is None:
         return table
-    for estimator, kinds in _read(found).items():
+    for estimator, kinds in read_settings_file(found).items():
         if estimator not in table:
             raise SettingsError(f"{found}: unknown estimator {estimator!r}, known: {', '.join(table)}")
         for kind, values in _object(found, estimator, kinds).items():
@@ -267,21 +183,7 @@ def save_hand_overs(path: Path, table: Mapping[str, Mapping[str, HandOver]]) -> 
 
 def find_hand_overs() -> Path | None:
     """Return the file that comes with the models: in the wheel, or in a checkout; None if there is none."""
-    package = Path(__file__).resolve().parent
-    candidates = [package / "_models" / "hand_over.json"]
-    if package.parent.name == "src":
-        candidates.append(package.parents[1] / "models" / "hand_over.json")
-    return next((path for path in candidates if path.is_file()), None)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise SettingsError(f"{path}: not JSON: {error}") from error
-    return _object(path, "the file", content)
+    return find_settings_file("hand_over.json")
 
 
 def _object(path: Path, name: str, value: object) -> dict[str, Any]:

@@ -7,7 +7,15 @@ import numpy as np
 from epiprior.baselines import standard_set
 from epiprior.compilation import announce_compilation
 from epiprior.features import Image
-from epiprior.hypothesis import UnitedMatches, Votes, cast_votes, describe_matches, find_candidates, unite_matches
+from epiprior.hypothesis import (
+    Candidates,
+    UnitedMatches,
+    Votes,
+    cast_votes,
+    describe_matches,
+    find_candidates,
+    unite_matches,
+)
 from epiprior.models import RankingModel, load_model
 from epiprior.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import PreprocessSettings, find_preset
@@ -84,10 +92,15 @@ def _rank_one(
     with watch.step("votes"):
         votes = cast_votes(candidates.frames, candidates.two_keypoints, probability, settings)
     with watch.step("probabilities"):
-        united = unite_matches(prepared, candidates)
-        table = describe_matches(united, prepared.table, candidates.two_keypoints, votes)
-        match_probability = model.predict_match(table.select(model.match_columns))
-        return _match_set(prepared, united, table, votes, match_probability)
+        return rank_voted(prepared, candidates, votes, model)
+
+
+def rank_voted(prepared: PreparedPair, candidates: Candidates, votes: Votes, model: RankingModel) -> MatchSet:
+    """Return X, X_L and X_B together with their probabilities, best first (section 4.6), after the votes."""
+    united = unite_matches(prepared, candidates)
+    table = describe_matches(united, prepared.table, candidates.two_keypoints, votes)
+    probability = model.predict_match(table.select(model.match_columns))
+    return _match_set(prepared, united, table, votes, probability)
 
 
 def _match_set(

@@ -70,11 +70,12 @@ def print_estimate(found: FundamentalEstimate) -> None:
     if found.F is not None:
         for row in found.F.tolist():
             typer.echo("  ".join(f"{value: .9e}" for value in row))
-    typer.echo(f"roll {found.roll_deg:.0f} deg; {found.version}; {sum(found.seconds.values()):.2f} s")
+    matches = f"{found.input} matches; " if found.input else ""
+    typer.echo(f"{matches}roll {found.roll_deg:.0f} deg; {found.version}; {sum(found.seconds.values()):.2f} s")
 
 
-def estimate_as_json(found: FundamentalEstimate, preset: str | None, seed: int) -> dict[str, Any]:
-    """Return an estimate as JSON's types; `preset` is None where nothing was preprocessed."""
+def estimate_as_json(found: FundamentalEstimate, preset: str, seed: int) -> dict[str, Any]:
+    """Return an estimate as JSON's types; its preset is null where no ranking was used."""
     return {
         "status": found.status.value,
         "F": None if found.F is None else found.F.tolist(),
@@ -83,7 +84,8 @@ def estimate_as_json(found: FundamentalEstimate, preset: str | None, seed: int) 
         "iterations": None if found.iterations is None else int(found.iterations),
         "estimator": found.estimator,
         "version": found.version,
-        "preset": preset,
+        "input": found.input,
+        "preset": preset if found.input == preset else None,
         "roll_deg": float(found.roll_deg),
         "seed": seed,
         "seconds": {step: float(value) for step, value in found.seconds.items()},

@@ -160,7 +160,7 @@ class MatchSet:
 
     def one_to_one(self) -> MatchSet:
         """Walk down the ranking and drop every match whose feature, in either image, was used before."""
-        from epiprior.handover import one_to_one_mask
+        from epiprior.selection import one_to_one_mask
 
         return self.take(one_to_one_mask(self.feature1, self.feature2))
 
@@ -221,6 +221,9 @@ class FundamentalEstimate:
         Name in the registry, and the backend's package and version.
     roll_deg : float
         The roll hypothesis that won, degrees.
+    input : str
+        What the estimator got: ``standard`` (X_L), ``generalized`` (instead, for `generalized-ransac`), or the
+        preset that ranked the matches; empty if unknown.
     message : str
         For a reader: why `status` is not ``ok``; empty otherwise.
     seconds : mapping of str to float
@@ -237,6 +240,7 @@ class FundamentalEstimate:
     version: str = ""
     iterations: int | None = None
     roll_deg: float = 0.0
+    input: str = ""
     message: str = ""
     seconds: Mapping[str, float] = field(default_factory=lambda: EMPTY_MAPPING)
 

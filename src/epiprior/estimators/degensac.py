@@ -26,7 +26,7 @@ class DegensacEstimator:
 
     def missing(self) -> str:
         """Return what to install, or an empty string."""
-        return what_to_install("pydegensac", "pydegensac>=0.3")
+        return what_to_install("pydegensac", "epiprior[degensac]")
 
     def version(self) -> str:
         """Return pydegensac's version."""

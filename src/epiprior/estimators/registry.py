@@ -9,7 +9,7 @@ import numpy as np
 
 from epiprior.chance import distinct_count
 from epiprior.errors import EstimatorError, FeatureError, SettingsError
-from epiprior.estimators import colmap, degensac, opencv, poselib
+from epiprior.estimators import beem, blogs, colmap, degensac, epiprior, generalized, guided_mlesac, opencv, poselib
 from epiprior.estimators.protocol import SEED_LIMIT, Estimator, EstimatorSettings
 from epiprior.estimators.verdict import judge
 from epiprior.geometry import MIN_MATCHES, as_points, normalise_fundamental, sampson_distance
@@ -17,8 +17,8 @@ from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
 
 _REGISTRY: dict[str, Estimator] = {
     estimator.name: estimator
-    for backend in (opencv.ESTIMATORS, poselib.ESTIMATORS, degensac.ESTIMATORS, colmap.ESTIMATORS)
-    for estimator in backend
+    for backend in (opencv, poselib, degensac, colmap, guided_mlesac, beem, blogs, generalized, epiprior)
+    for estimator in backend.ESTIMATORS
 }
 
 

@@ -1,0 +1,64 @@
+"""Commands on what comes with epiprior: `info` on models, and the list of `estimators`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from epiprior.commands.options import Json
+from epiprior.errors import ModelError
+from epiprior.printing import entries, print_json, print_table
+
+
+def info(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="Name or folder.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Check a model's files and tell what it was trained on, its columns, metrics and versions.
+
+    epiprior info default
+
+    epiprior info models/paper --json
+    """
+    from epiprior.models import load_model
+
+    folder = _model_folder(model)
+    loaded = load_model(folder)
+    if as_json:
+        print_json({"folder": str(folder), **loaded.manifest})
+        return
+    rows = [("folder", str(folder)), *entries(loaded.manifest)]
+    print_table(("entry", "value"), rows, title=f"model {loaded.name}")
+
+
+def estimators(as_json: Json = False) -> None:
+    """List the estimators: available here or what to install, and the licence of what runs."""
+    from epiprior.estimators.registry import estimators as availability
+    from epiprior.estimators.registry import licences
+
+    licence = licences()
+    if as_json:
+        print_json(
+            [
+                {"name": n, "available": a == "available", "status": a, "licence": licence[n]}
+                for n, a in availability().items()
+            ]
+        )
+        return
+    rows = [(name, state, licence[name]) for name, state in availability().items()]
+    print_table(("estimator", "available, or what to install", "licence"), rows)
+
+
+def _model_folder(model: str) -> Path:
+    from epiprior.models import find_model
+
+    if any(slash in model for slash in "/\\"):
+        return Path(model)
+    try:
+        return find_model(model)
+    except ModelError:
+        if Path(model).is_dir():
+            return Path(model)
+        raise

@@ -1,0 +1,20 @@
+"""Guided MLESAC: samples by the matches' probabilities and scores by the likelihood under them."""
+
+from __future__ import annotations
+
+from epiprior.estimators.loop import Recipe
+from epiprior.estimators.own import LoopEstimator
+from epiprior.estimators.ratio_prior import probability_or_ratio_prior
+from epiprior.estimators.scores import LIKELIHOOD
+
+# Seven matches drawn by their probability v, score sum log(v p_in(r) + (1 - v) / w), after Tordoff and Murray
+# (Guided-MLESAC, TPAMI 2005), as we recall it; local optimisation and the oriented constraint are ours. It needs
+# calibrated probabilities: without preprocessing they come from the distance ratio (`epiprior.estimators.ratio_prior`).
+ESTIMATORS = (
+    LoopEstimator(
+        name="guided-mlesac",
+        recipe=Recipe(kind=LIKELIHOOD),
+        prior=probability_or_ratio_prior,
+        max_iterations=5_000,
+    ),
+)

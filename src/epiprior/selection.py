@@ -1,0 +1,105 @@
+"""Which matches of a ranking remain if a feature, or a part of the image, may not be used too often.
+
+Beyond the paper: its section 4.7 hands the ranking to an estimator as it is.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from epiprior.errors import FeatureError
+from epiprior.types import BoolArray, FloatArray, IntArray
+
+_GRID = 8
+
+
+@numba.njit(cache=True, nogil=True)
+def _walk(feature1, feature2, used1, used2):  # type: ignore[no-untyped-def]
+    keep = np.zeros(len(feature1), np.bool_)
+    for m in range(len(feature1)):
+        i, j = feature1[m], feature2[m]
+        if not used1[i] and not used2[j]:
+            used1[i] = used2[j] = True
+            keep[m] = True
+    return keep
+
+
+@numba.njit(cache=True, nogil=True)
+def _walk_cells(cell1, cell2, cells, limit, wanted):  # type: ignore[no-untyped-def]
+    keep = np.zeros(len(cell1), np.bool_)
+    held1 = np.zeros(cells, np.int64)
+    held2 = np.zeros(cells, np.int64)
+    taken = 0
+    for m in range(len(cell1)):
+        if taken == wanted:
+            break
+        i, j = cell1[m], cell2[m]
+        if held1[i] < limit and held2[j] < limit:
+            held1[i] += 1
+            held2[j] += 1
+            taken += 1
+            keep[m] = True
+    return keep
+
+
+def one_to_one_mask(feature1: IntArray, feature2: IntArray) -> BoolArray:
+    """Return which matches remain if a match is skipped whose feature, in either image, was used before.
+
+    Parameters
+    ----------
+    feature1, feature2 : ndarray, shape (N,), int
+        Features of the matches, best match first; any numbers >= 0.
+
+    Returns
+    -------
+    ndarray, shape (N,), bool
+        A greedy matching: no match could be added to it.
+
+    Raises
+    ------
+    FeatureError
+        If shapes disagree or a number is negative.
+    """
+    first, second = np.asarray(feature1, dtype=np.int64), np.asarray(feature2, dtype=np.int64)
+    if first.shape != second.shape or first.ndim != 1:
+        raise FeatureError(f"feature1 and feature2 have shapes {first.shape} and {second.shape}, expected (N,) twice")
+    if not len(first):
+        return np.zeros(0, dtype=np.bool_)
+    if min(first.min(), second.min()) < 0:
+        raise FeatureError(f"feature numbers must not be negative, found {min(first.min(), second.min())}")
+    # Dense numbers keep the memory at the number of matches, whatever numbers the caller uses.
+    unique1, dense1 = np.unique(first, return_inverse=True)
+    unique2, dense2 = np.unique(second, return_inverse=True)
+    mask: BoolArray = _walk(dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_))
+    return mask
+
+
+def spread_mask(x1: FloatArray, x2: FloatArray, *, top_k: int, share: float) -> BoolArray:
+    """Return the first `top_k` matches of which no cell of a grid, in either image, holds more than a share.
+
+    Parameters
+    ----------
+    x1, x2 : ndarray, shape (N, 2), float64
+        Matches, best first, pixels. The grid of 8 x 8 cells covers the rectangle that they fill in each
+        image.
+    top_k : int
+        How many are wanted; fewer come back where the cells are full.
+    share : float
+        Most that one cell may hold, as a share of `top_k`; at least one match.
+    """
+    if not len(x1):
+        return np.zeros(0, dtype=np.bool_)
+    limit = max(1, math.ceil(share * top_k))
+    mask: BoolArray = _walk_cells(_cells(x1), _cells(x2), _GRID * _GRID, limit, top_k)
+    return mask
+
+
+def _cells(x: FloatArray) -> IntArray:
+    low = x.min(axis=0)
+    size = np.maximum(np.ptp(x, axis=0) / _GRID, 1e-9)
+    column_row = np.minimum(((x - low) / size).astype(np.int64), _GRID - 1)
+    cells: IntArray = column_row[:, 1] * _GRID + column_row[:, 0]
+    return cells
