@@ -1,18 +1,14 @@
 """Estimators before and after preprocessing, on pairs with control points (paper, "General performance").
 
-A pair is ranked once per preset; every estimator then runs on the same four inputs:
-
-``standard``
-    X_L of the paper: nearest neighbours of plain SIFT by distance ratio.
-``snn``
-    RootSIFT, mutual nearest neighbours, ratio below 0.85: the strongest simple pipeline of today.
-``paper``, ``default``
-    The ranked matches of the preset, one set per roll hypothesis.
+Matches are made once per pair (`epiprior_lab.matching`); then every estimator runs on its inputs. Each pair and
+estimator is a task of its own, so that a run that was killed continues where it stopped.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -20,25 +16,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from epiprior.baselines import snn_matches, standard_matches
-from epiprior.errors import SettingsError
 from epiprior.estimate import estimate_from_matches
-from epiprior.features import FeatureSettings, detect_features, load_photograph
+from epiprior.estimators import find_estimator
 from epiprior.handover import HandOver
-from epiprior.preprocess import rank_matches
-from epiprior.types import FloatArray, MatchSet
+from epiprior.types import FloatArray
 from epiprior_lab.datasets import Pair, read_pair_set
 from epiprior_lab.ground_truth import LabelSettings, errors_px
+from epiprior_lab.matching import PRESETS, MatchFiles, PairMatches, store_matches
 from epiprior_lab.parallel import Task, map_tasks
 from epiprior_lab.rankings import calibration_rows, curve_rows, ranked_lists, ranking_rows, roll_rows
 from epiprior_lab.seeds import child_seed
 
 Row = dict[str, Any]
 HandOvers = Mapping[str, Mapping[str, HandOver]]
-
-BASELINES = ("standard", "snn")
-PRESETS = ("paper", "default")
-INPUTS = BASELINES + PRESETS
+EstimatorInputs = Mapping[str, Sequence[str]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +61,10 @@ class PairEvaluation:
         """Return the rows of all `parts`, in their order."""
         return cls(**{f.name: [row for part in parts for row in getattr(part, f.name)] for f in fields(cls)})
 
+    def keyed(self, key: Row) -> PairEvaluation:
+        """Return the same rows, each led by `key`."""
+        return PairEvaluation(**{f.name: [{**key, **row} for row in getattr(self, f.name)] for f in fields(self)})
+
     def write(self, folder: Path) -> None:
         """Write one CSV file per field to `folder`, made if absent."""
         folder.mkdir(parents=True, exist_ok=True)
@@ -82,61 +77,6 @@ def write_rows(rows: Sequence[Row], path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     frame = pd.DataFrame(rows)
     frame.to_csv(path, index=False, float_format="%.7g", lineterminator="\n")
-
-
-@dataclass(frozen=True, kw_only=True)
-class PairMatches:
-    """The matches of one pair, made in several ways.
-
-    Parameters
-    ----------
-    sets : dict of str to tuple of MatchSet
-        Per input; baselines have one set, presets one per roll hypothesis.
-    pixel_factors : tuple of float
-        Given pixels per working pixel in both images, as `estimate_from_matches` wants them.
-    """
-
-    sets: dict[str, tuple[MatchSet, ...]]
-    pixel_factors: tuple[float, float]
-
-
-def match_pair(pair: Pair, inputs: Sequence[str]) -> PairMatches:
-    """Match one pair in every asked way.
-
-    Parameters
-    ----------
-    pair : Pair
-        Its two images are read.
-    inputs : sequence of str
-        Names out of `INPUTS`.
-
-    Returns
-    -------
-    PairMatches
-        Inputs in the order that was asked for.
-
-    Raises
-    ------
-    SettingsError
-        If an input is unknown.
-    """
-    unknown = [name for name in inputs if name not in INPUTS]
-    if unknown:
-        raise SettingsError(f"input is {unknown[0]!r}, known: {', '.join(INPUTS)}")
-    sets: dict[str, tuple[MatchSet, ...]] = {}
-    settings = FeatureSettings()
-    photographs = [load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2)]
-    first, second = (detect_features(photograph, settings) for photograph in photographs)
-    for name in inputs:
-        if name == "standard":
-            sets[name] = (standard_matches(pair.image1, pair.image2),)
-        elif name == "snn":
-            sets[name] = (snn_matches(pair.image1, pair.image2),)
-        else:
-            # Presets differ in how descriptors are normalised, not in what is detected.
-            ranked = rank_matches(pair.image1, pair.image2, preset=name, features1=first, features2=second)
-            sets[name] = ranked.sets
-    return PairMatches(sets=sets, pixel_factors=(photographs[0].factor, photographs[1].factor))
 
 
 def estimate_row(
@@ -164,8 +104,8 @@ def estimate_row(
     Returns
     -------
     dict
-        ``status``, ``support``, ``iterations``, ``error_px`` (mean of the roots of the Sampson distances) and
-        ``median_error_px``; the two errors are NaN without a fundamental matrix.
+        ``status``, ``support`` out of so many ``matches``, ``iterations``, ``error_px`` (mean of the roots of the
+        Sampson distances) and ``median_error_px``; the two errors are NaN without a fundamental matrix.
     """
     estimate = estimate_from_matches(
         matches.sets[input_name],
@@ -178,102 +118,89 @@ def estimate_row(
     return {
         "status": str(estimate.status),
         "support": estimate.support,
+        "matches": len(estimate.x1),
         "iterations": estimate.iterations,
         "error_px": float(distances.mean()),
         "median_error_px": float(np.median(distances)),
     }
 
 
-def result_rows(
-    pair: Pair,
-    matches: PairMatches,
-    *,
-    estimators: Sequence[str],
-    seeds: Sequence[int],
-    hand_overs: HandOvers,
+def is_deterministic(estimator: str) -> bool:
+    """Return whether the seed changes nothing: one run then stands for all seeds."""
+    return bool(getattr(find_estimator(estimator), "deterministic", False))
+
+
+def estimator_rows(
+    *, pair: Pair, matches: MatchFiles, estimator: str, seeds: Sequence[int], hand_overs: Mapping[str, HandOver]
 ) -> list[Row]:
-    """Return one row per estimator, input and seed.
+    """Return one row per input and seed for one estimator.
 
     Parameters
     ----------
     pair : Pair
         Gives the control points.
-    matches : PairMatches
-        As from `match_pair`.
-    estimators : sequence of str
-        Names in the registry.
+    matches : MatchFiles
+        The inputs that the estimator gets, in the order of the rows.
+    estimator : str
+        Name in the registry. A deterministic one runs once, and its row is repeated.
     seeds : sequence of int
         Each becomes a child seed of the pair, the same for every input, so that differences are paired.
-    hand_overs : mapping
-        ``hand_overs[estimator][input]``.
+    hand_overs : mapping of str to HandOver
+        Per input.
     """
     points = pair.control_points()
+    sets = matches.read()
+    different = seeds[:1] if is_deterministic(estimator) else seeds
     rows = []
-    for estimator in estimators:
-        for name in matches.sets:
-            for seed in seeds:
-                row = estimate_row(
-                    matches,
-                    points,
-                    estimator=estimator,
-                    input_name=name,
-                    seed=child_seed(seed, pair.pair_id),
-                    hand_over=hand_overs[estimator][name],
-                )
-                rows.append({"estimator": estimator, "input": name, "seed": seed, **row})
+    for name in sets.sets:
+        found = [
+            estimate_row(
+                sets,
+                points,
+                estimator=estimator,
+                input_name=name,
+                seed=child_seed(seed, pair.pair_id),
+                hand_over=hand_overs[name],
+            )
+            for seed in different
+        ]
+        rows += [
+            {"estimator": estimator, "input": name, "seed": seed, **found[min(k, len(found) - 1)]}
+            for k, seed in enumerate(seeds)
+        ]
     return rows
 
 
-def evaluate_pair(
-    *,
-    pair: Pair,
-    family: str,
-    estimators: Sequence[str],
-    inputs: Sequence[str],
-    seeds: Sequence[int],
-    hand_overs: HandOvers,
-    labels: LabelSettings,
-) -> PairEvaluation:
-    """Evaluate one pair: estimates, rankings, roll densities and calibration.
+def evaluate_rankings(*, pair: Pair, matches: MatchFiles, labels: LabelSettings) -> PairEvaluation:
+    """Evaluate what comes before the estimators: rankings, roll densities and calibration of one pair.
 
     Parameters
     ----------
     pair : Pair
-        Pair with control points, and cameras or depths by which matches are labelled.
-    family : str
-        Name of the pair set; it leads every row, followed by pair id and scene.
-    estimators, inputs, seeds, hand_overs
-        As for `result_rows` and `match_pair`.
+        Pair with cameras, depths or control points by which matches are labelled.
+    matches : MatchFiles
+        The presets.
     labels : LabelSettings
-        When a match counts as right in rankings and calibration.
+        When a match counts as right.
     """
-    matches = match_pair(pair, inputs)
-    key = {"family": family, "pair_id": pair.pair_id, "scene": pair.scene}
+    sets = matches.read().sets
     rankings, curves, calibration = [], [], []
-    for preset in (name for name in inputs if name in PRESETS):
+    for preset in sets:
         # The first set belongs to the expected roll; the second, if any, to none.
-        ranked = matches.sets[preset][0]
+        ranked = sets[preset][0]
         lists = ranked_lists(pair, ranked, labels)
-        rankings += [{**key, "preset": preset, **row} for row in ranking_rows(lists)]
-        curves += [{**key, "preset": preset, **row} for row in curve_rows(lists)]
-        calibration += [{**key, "preset": preset, **row} for row in calibration_rows(ranked, lists["final"])]
-    results = result_rows(pair, matches, estimators=estimators, seeds=seeds, hand_overs=hand_overs)
-    roll = roll_rows(pair, matches.sets["default"][0]) if "default" in matches.sets else []
-    return PairEvaluation(
-        results=[{**key, **row} for row in results],
-        rankings=rankings,
-        ranking_curves=curves,
-        roll=[{**key, **row} for row in roll],
-        calibration=calibration,
-    )
+        rankings += [{"preset": preset, **row} for row in ranking_rows(lists)]
+        curves += [{"preset": preset, **row} for row in curve_rows(lists)]
+        calibration += [{"preset": preset, **row} for row in calibration_rows(ranked, lists["final"])]
+    roll = roll_rows(pair, sets["default"][0]) if "default" in sets else []
+    return PairEvaluation(results=[], rankings=rankings, ranking_curves=curves, roll=roll, calibration=calibration)
 
 
 def evaluate_pairs(
     pairs: Sequence[Pair],
     *,
     family: str,
-    estimators: Sequence[str],
-    inputs: Sequence[str],
+    inputs: EstimatorInputs,
     seeds: Sequence[int],
     hand_overs: HandOvers,
     labels: LabelSettings,
@@ -287,34 +214,83 @@ def evaluate_pairs(
     ----------
     pairs : sequence of Pair
         Pairs of one set.
-    family, estimators, inputs, seeds, hand_overs, labels
-        As for `evaluate_pair`.
+    family : str
+        Name of the pair set; it leads every row, followed by pair id and scene.
+    inputs : mapping of str to sequence of str
+        For each estimator the inputs that it gets, out of `matching.INPUTS`.
+    seeds, hand_overs, labels
+        As for `estimator_rows` (with the estimator first: ``hand_overs[estimator][input]``) and
+        `evaluate_rankings`.
     files : sequence of Path
         What decides every pair beside its own images: the model files.
     workers, store
         As for `epiprior_lab.parallel.map_tasks`.
     """
-    settings = {
-        "family": family,
-        "estimators": tuple(estimators),
-        "inputs": tuple(inputs),
-        "seeds": tuple(seeds),
-        "hand_overs": {e: dict(hand_overs[e]) for e in estimators},
-        "labels": labels,
-    }
-    tasks = [Task(name=pair.pair_id, payload={"pair": pair, **settings}, files=(*pair.files, *files)) for pair in pairs]
-    description = f"evaluate {family}"
-    parts = map_tasks(evaluate_pair, tasks, workers=workers, description=description, store=store)
+    used = [name for names in inputs.values() for name in names]
+    presets = [name for name in PRESETS if name in used]
+    with match_folder(store) as folder:
+        matched = store_matches(
+            pairs, tuple(dict.fromkeys(used)), folder, files=files, workers=workers,
+            description=f"match {family}", resume=store is not None,
+        )  # fmt: skip
+        ranked = map_tasks(
+            evaluate_rankings,
+            [
+                _task(pair.pair_id, pair, matches.only(presets), {"labels": labels})
+                for pair, matches in zip(pairs, matched, strict=True)
+            ],
+            workers=workers,
+            description=f"rankings of {family}",
+            store=store,
+        )
+        results = map_tasks(
+            estimator_rows,
+            [
+                _task(
+                    f"{pair.pair_id} {estimator}",
+                    pair,
+                    matches.only(names),
+                    {
+                        "estimator": estimator,
+                        "seeds": tuple(seeds),
+                        "hand_overs": {name: hand_overs[estimator][name] for name in names},
+                    },
+                )
+                for pair, matches in zip(pairs, matched, strict=True)
+                for estimator, names in inputs.items()
+            ],
+            workers=workers,
+            description=f"estimate {family}",
+            store=store,
+        )
+    parts = []
+    for k, pair in enumerate(pairs):
+        own = results[k * len(inputs) : (k + 1) * len(inputs)]
+        whole = PairEvaluation.join([_only_results(rows) for rows in own] + [ranked[k]])
+        parts.append(whole.keyed({"family": family, "pair_id": pair.pair_id, "scene": pair.scene}))
     return PairEvaluation.join(parts)
+
+
+def _task(name: str, pair: Pair, matches: MatchFiles, settings: Row) -> Task:
+    files = (*pair.files, *matches.paths.values())
+    return Task(name=name, payload={"pair": pair, "matches": matches, **settings}, files=files)
+
+
+def _only_results(rows: list[Row]) -> PairEvaluation:
+    return PairEvaluation(results=rows, rankings=[], ranking_curves=[], roll=[], calibration=[])
+
+
+@contextmanager
+def match_folder(store: Path | None) -> Iterator[Path]:
+    """Yield a folder for matches: beside the stored results, or for this run alone."""
+    if store is not None:
+        yield store / "matches"
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
 
 
 def study_pairs(split: str, family: str, data: Path = Path("data")) -> tuple[Pair, ...]:
     """Return the rendered pairs of one family and split, with their control points."""
     control_points = data / "ground_truth" / split / family / "control_points"
     return read_pair_set(data / "scenes" / split / family, control_points).pairs
-
-
-def model_files(models: Path, inputs: Sequence[str]) -> tuple[Path, ...]:
-    """Return the files of the models that the inputs need, sorted: they decide the matches."""
-    found = (models / name for name in inputs if name in PRESETS)
-    return tuple(sorted(path for folder in found for path in folder.iterdir() if path.is_file()))

@@ -2,22 +2,23 @@
 
 A coordinate-wise search: the settings of a hand-over are varied one after the other, the others staying at
 the best found so far. Baselines are searched as carefully as ranked matches, so that neither side is a straw
-man. Matching is done once per pair; every round is then one task per pair over all estimators and inputs.
+man. Matching is done once per pair; every step is then one task per pair and estimator.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from epiprior.handover import HandOver, hand_over
+from epiprior.handover import HandOver, default_hand_over, hand_over
 from epiprior.types import FloatArray
 from epiprior_lab.datasets import Pair
-from epiprior_lab.evaluation import BASELINES, PairMatches, estimate_row, match_pair
+from epiprior_lab.evaluation import EstimatorInputs, estimate_row, is_deterministic, match_folder
+from epiprior_lab.matching import MatchFiles, PairMatches, store_matches
 from epiprior_lab.parallel import Task, map_tasks
 from epiprior_lab.params import HandOverParams
 from epiprior_lab.seeds import child_seed
@@ -25,9 +26,19 @@ from epiprior_lab.statistics import area_under_success_curve, successes
 
 Row = dict[str, Any]
 Place = tuple[str, str]
+Coordinates = list[tuple[str, tuple[Any, ...]]]
 
 SUCCESS_PX = 10.0
 STRICT_PX = 3.0
+
+# What is varied after the cut of the ranking, in this order. Nothing that the paper does not print for `paper`.
+_VARIED = {
+    "standard": ("max_distance_ratio", "threshold_px", "one_to_one", "refine"),
+    "snn": ("max_distance_ratio", "threshold_px", "one_to_one", "refine"),
+    "generalized": ("top_k", "threshold_px", "one_to_one", "refine"),
+    "paper": ("top_k", "min_probability", "threshold_px", "one_to_one"),
+    "default": ("top_k", "min_probability", "threshold_px", "refine", "collect", "spread", "one_to_one"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,17 +64,16 @@ class Trial:
     errors_px: FloatArray
 
     @property
-    def score(self) -> tuple[int, int, float]:
-        """Successes below 10 px, then below 3 px, then the area under the curve of successes up to 10 px."""
-        return (
-            int(successes(self.errors_px, SUCCESS_PX).sum()),
-            int(successes(self.errors_px, STRICT_PX).sum()),
-            round(area_under_success_curve(self.errors_px, SUCCESS_PX), 9),
-        )
+    def score(self) -> tuple[int, float]:
+        """Successes below 10 px and below 3 px together, then the area under the curve of successes up to 10 px.
+
+        Both thresholds count alike: few pairs decide, and a choice by either alone would follow their noise.
+        """
+        together = sum(int(successes(self.errors_px, threshold).sum()) for threshold in (SUCCESS_PX, STRICT_PX))
+        return together, round(area_under_success_curve(self.errors_px, SUCCESS_PX), 9)
 
     def row(self, chosen: bool) -> Row:
         """Return a row of the report: successes are pairs, in the mean over seeds."""
-        loose, strict, area = self.score
         pairs, seeds = self.errors_px.shape
         return {
             "estimator": self.estimator,
@@ -71,68 +81,56 @@ class Trial:
             "step": self.step,
             **asdict(self.how),
             "pairs": pairs,
-            "successes_10": loose / seeds,
-            "successes_3": strict / seeds,
-            "area": area,
+            "successes_10": int(successes(self.errors_px, SUCCESS_PX).sum()) / seeds,
+            "successes_3": int(successes(self.errors_px, STRICT_PX).sum()) / seeds,
+            "area": self.score[1],
             "chosen": chosen,
         }
 
 
-def coordinates(name: str, params: HandOverParams) -> list[tuple[str, tuple[Any, ...]]]:
-    """Return the settings that are varied for an input, in order, with their values.
+def coordinates(estimator: str, name: str, params: HandOverParams) -> Coordinates:
+    """Return the settings that are varied for an estimator and input, in order, with their values.
 
     Parameters
     ----------
+    estimator : str
+        Those that weigh matches are tried with more of them.
     name : str
-        ``standard``, ``snn``, ``paper`` or ``default``.
+        One of `matching.INPUTS`. A baseline's ranking is cut by its own measure, the distance ratio, which
+        adapts to the pair better than a number of matches does.
     params : HandOverParams
         The values.
     """
-    cut = ("max_distance_ratio",) if name in BASELINES else ("top_k", "min_probability")
-    rest = {
-        "standard": ("threshold_px", "top_k", "one_to_one", "refine"),
-        "snn": ("threshold_px", "top_k", "one_to_one", "refine"),
-        "paper": ("threshold_px", "one_to_one"),  # nothing that is not printed
-        "default": ("threshold_px", "refine", "collect", "spread", "one_to_one"),
-    }
-    return [(setting, getattr(params, setting)) for setting in (*cut, *rest[name])]
+    values = {setting: getattr(params, setting) for setting in _VARIED[name]}
+    if "top_k" in values:
+        values["top_k"] = params.weighted.top_k if name == "generalized" else params.top_k_for(estimator)
+    return list(values.items())
 
 
-def starting_point(name: str, params: HandOverParams) -> HandOver:
-    """Return where the search begins: all matches for the baselines, some of the best otherwise."""
-
-    def middle(values: Sequence[Any]) -> Any:
-        return values[len(values) // 2]
-
-    baseline = name in BASELINES
-    return HandOver(
-        one_to_one=params.one_to_one[0],
-        top_k=None if baseline else middle(params.top_k),
-        max_distance_ratio=middle(params.max_distance_ratio) if baseline else None,
-        threshold_px=middle(params.threshold_px),
-        collect=name == "default",
-        refine=name == "default",
-    )
+def starting_point(estimator: str, name: str) -> HandOver:
+    """Return where the search begins: the hand-over that the library would use without a search."""
+    return default_hand_over(estimator, name)
 
 
 def candidate_errors(
-    pair_id: str,
-    points: tuple[FloatArray, FloatArray],
-    matches: PairMatches,
-    candidates: Sequence[tuple[str, str, HandOver]],
+    *,
+    pair: Pair,
+    matches: MatchFiles,
+    estimator: str,
+    candidates: Sequence[tuple[str, HandOver]],
     seeds: Sequence[int],
 ) -> FloatArray:
-    """Return the errors of all candidates on one pair.
+    """Return the errors of all candidates of one estimator on one pair.
 
     Parameters
     ----------
-    pair_id : str
-        Enters the seeds.
-    points : tuple of ndarray, shape (N, 2), float64
-        Control points of the pair, pixels.
-    matches : PairMatches
+    pair : Pair
+        Gives the control points; its id enters the seeds.
+    matches : MatchFiles
         Matches of the pair.
-    candidates : sequence of (estimator, input, HandOver)
+    estimator : str
+        Name in the registry.
+    candidates : sequence of (input, HandOver)
         What is tried.
     seeds : sequence of int
         As in the evaluation.
@@ -142,24 +140,26 @@ def candidate_errors(
     ndarray, shape (len(candidates), len(seeds)), float64
         Pixels; NaN without a fundamental matrix.
     """
+    points = pair.control_points()
+    sets = matches.read()
+    different = seeds[:1] if is_deterministic(estimator) else seeds
     errors = np.full((len(candidates), len(seeds)), np.nan)
-    known: dict[tuple[Any, ...], FloatArray] = {}
-    for i, (estimator, name, how) in enumerate(candidates):
-        same = (estimator, name, _effect(matches, name, how))
+    known: dict[tuple[Any, ...], list[float]] = {}
+    for i, (name, how) in enumerate(candidates):
+        same = (name, _effect(sets, name, how))
         if same not in known:
-            rows = (
+            known[same] = [
                 estimate_row(
-                    matches,
+                    sets,
                     points,
                     estimator=estimator,
                     input_name=name,
-                    seed=child_seed(seed, pair_id),
+                    seed=child_seed(seed, pair.pair_id),
                     hand_over=how,
-                )
-                for seed in seeds
-            )
-            known[same] = np.array([row["error_px"] for row in rows])
-        errors[i] = known[same]
+                )["error_px"]
+                for seed in different
+            ]
+        errors[i] = known[same]  # a single run stands for all seeds
     return errors
 
 
@@ -173,8 +173,7 @@ def _effect(matches: PairMatches, name: str, how: HandOver) -> tuple[Any, ...]:
 def search_hand_overs(
     pairs: Sequence[Pair],
     *,
-    estimators: Sequence[str],
-    inputs: Sequence[str],
+    inputs: EstimatorInputs,
     params: HandOverParams,
     files: Sequence[Path] = (),
     workers: int = 1,
@@ -186,8 +185,8 @@ def search_hand_overs(
     ----------
     pairs : sequence of Pair
         Validation pairs.
-    estimators, inputs : sequence of str
-        Names.
+    inputs : mapping of str to sequence of str
+        For each estimator the inputs that it gets.
     params : HandOverParams
         Seeds, and the values of each setting.
     files : sequence of Path
@@ -202,74 +201,83 @@ def search_hand_overs(
     trials : list of Trial
         All of them, in order.
     """
-    tasks = [
-        Task(
-            name=pair.pair_id,
-            payload={"pair": pair, "inputs": tuple(inputs)},
-            files=(*pair.files, *files),
-        )
-        for pair in pairs
-    ]
-    matched = map_tasks(match_pair, tasks, workers=workers, description="match validation pairs", store=store)
-    points = [pair.control_points() for pair in pairs]
+    used = tuple(dict.fromkeys(name for names in inputs.values() for name in names))
+    with match_folder(store) as folder:
+        matched = store_matches(
+            pairs, used, folder, files=files, workers=workers,
+            description="match validation pairs", resume=store is not None,
+        )  # fmt: skip
 
-    def run(candidates: list[tuple[str, str, HandOver]], step: int) -> FloatArray:
-        tasks = [
-            Task(
-                name=f"{pair.pair_id} {step}",
-                payload={
-                    "pair_id": pair.pair_id,
-                    "points": xy,
-                    "matches": matches,
-                    "candidates": tuple(candidates),
-                    "seeds": params.seeds,
-                },
-            )
-            for pair, xy, matches in zip(pairs, points, matched, strict=True)
-        ]
-        description = f"hand-over, step {step + 1}"
-        errors = map_tasks(candidate_errors, tasks, workers=workers, description=description, store=store)
-        return np.stack(errors, axis=1)
+        def run(planned: Mapping[str, list[tuple[str, HandOver]]], step: int) -> dict[str, FloatArray]:
+            tasks = [
+                _task(pair, matches, estimator, candidates, params.seeds, step)
+                for estimator, candidates in planned.items()
+                for pair, matches in zip(pairs, matched, strict=True)
+            ]
+            description = f"hand-over, step {step + 1}"
+            errors = map_tasks(candidate_errors, tasks, workers=workers, description=description, store=store)
+            n = len(pairs)
+            return {name: np.stack(errors[k * n : (k + 1) * n], axis=1) for k, name in enumerate(planned)}
 
-    places = [(estimator, name) for estimator in estimators for name in inputs]
-    varied = {name: coordinates(name, params) for name in inputs}
+        return _search(inputs, params, run)
+
+
+def _task(
+    pair: Pair,
+    matches: MatchFiles,
+    estimator: str,
+    candidates: list[tuple[str, HandOver]],
+    seeds: Sequence[int],
+    step: int,
+) -> Task:
+    needed = matches.only(tuple(dict.fromkeys(name for name, _ in candidates)))
+    return Task(
+        name=f"{pair.pair_id} {estimator} {step}",
+        payload={
+            "pair": pair,
+            "matches": needed,
+            "estimator": estimator,
+            "candidates": tuple(candidates),
+            "seeds": tuple(seeds),
+        },
+        files=(*pair.files, *needed.paths.values()),
+    )
+
+
+def _search(
+    inputs: EstimatorInputs,
+    params: HandOverParams,
+    run: Callable[[Mapping[str, list[tuple[str, HandOver]]], int], dict[str, FloatArray]],
+) -> tuple[dict[Place, Trial], list[Trial]]:
+    """Vary one setting after the other; `run` returns errors of shape (candidates, pairs, seeds) per estimator."""
+    varied = {(e, name): coordinates(e, name, params) for e, names in inputs.items() for name in names}
     best: dict[Place, Trial] = {}
     trials: list[Trial] = []
     for step in range(max(len(c) for c in varied.values())):
-        planned = [
-            (place, setting, how)
-            for place in places
-            for setting, how in _variations(varied[place[1]], step, place, best, params)
-        ]
-        if not planned:
-            continue
-        errors = run([(*place, how) for place, _, how in planned], step)
-        for (place, setting, how), e in zip(planned, errors, strict=True):
-            trial = Trial(estimator=place[0], input=place[1], step=setting, how=how, errors_px=e)
-            trials.append(trial)
-            if place not in best or trial.score > best[place].score:
-                best[place] = trial
+        planned: dict[str, list[tuple[str, HandOver]]] = {}
+        for place, settings in varied.items():
+            for how in _variations(place, settings, step, best.get(place)):
+                planned.setdefault(place[0], []).append((place[1], how))
+        for estimator, errors in (run(planned, step) if planned else {}).items():
+            for (name, how), e in zip(planned[estimator], errors, strict=True):
+                place = (estimator, name)
+                trial = Trial(estimator=estimator, input=name, step=varied[place][step][0], how=how, errors_px=e)
+                trials.append(trial)
+                if place not in best or trial.score > best[place].score:
+                    best[place] = trial
     return best, trials
 
 
-def _variations(
-    varied: list[tuple[str, tuple[Any, ...]]],
-    step: int,
-    place: Place,
-    best: dict[Place, Trial],
-    params: HandOverParams,
-) -> list[tuple[str, HandOver]]:
+def _variations(place: Place, varied: Coordinates, step: int, known: Trial | None) -> list[HandOver]:
     """Return the hand-overs of one step that were not tried before."""
     if step >= len(varied):
         return []
     setting, values = varied[step]
-    known = best.get(place)
-    start = known.how if known else starting_point(place[1], params)
-    tried = {start} if known else set()
+    start = known.how if known else starting_point(*place)
     if setting == "spread" and start.top_k is None:
         return []  # spread is a share of top_k
-    variations = (replace(start, **{setting: value}) for value in values)
-    return [(setting, how) for how in dict.fromkeys(variations) if how not in tried]
+    variations = dict.fromkeys(replace(start, **{setting: value}) for value in values)
+    return [how for how in variations if known is None or how != start]
 
 
 def chosen_hand_overs(best: dict[Place, Trial]) -> dict[str, dict[str, HandOver]]:

@@ -1,4 +1,4 @@
-"""Time with the preprocessing step over time without, against what the step contributes.
+"""Time with the preprocessing step over time without, and of each estimator when it succeeds and when it fails.
 
 After the paper's figure of time overhead. Times are wall times of one process on a few pairs of each family;
 nothing else in the study reads them.
@@ -8,85 +8,106 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from epiprior.baselines import standard_matches
 from epiprior.estimate import estimate_from_matches
-from epiprior.preprocess import rank_matches
-from epiprior.types import MatchSet
 from epiprior_lab.datasets import Pair
-from epiprior_lab.evaluation import HandOvers
+from epiprior_lab.evaluation import EstimatorInputs, HandOvers
+from epiprior_lab.ground_truth import errors_px
+from epiprior_lab.matching import PRESETS, WITHOUT, match_pair
 from epiprior_lab.reports.study import order_of, success_rates
-from epiprior_lab.reports.style import MUTED, SERIES, save, styled
 from epiprior_lab.seeds import child_seed
 from epiprior_lab.statistics import contribution
 
 Row = dict[str, Any]
 
-TIMED_INPUTS = ("standard", "paper", "default")
-_MARKERS = ("o", "s", "^", "D", "v", "P")
 
-
-def measure_pair(pair: Pair, estimators: Sequence[str], hand_overs: HandOvers, seeds: Sequence[int]) -> list[Row]:
+def measure_pair(pair: Pair, inputs: EstimatorInputs, hand_overs: HandOvers, seeds: Sequence[int]) -> list[Row]:
     """Time matching and estimation of one pair.
 
     Parameters
     ----------
     pair : Pair
         Its images are read anew for each input, since that is what a user pays.
-    estimators : sequence of str
-        Names in the registry.
+    inputs : mapping of str to sequence of str
+        For each estimator the inputs that it gets.
     hand_overs : mapping
         ``hand_overs[estimator][input]``.
     seeds : sequence of int
-        The estimator's time is the mean over them.
+        One run each.
 
     Returns
     -------
     list of dict
-        ``pair_id, scene, input, estimator, matching_seconds`` (features and everything up to the handed-over
-        matches) and ``estimator_seconds`` (all roll hypotheses).
+        ``pair_id, scene, input, estimator, seed, matching_seconds`` (features and everything up to the ranked
+        matches), ``estimator_seconds`` (from matches to F, all roll hypotheses) and ``error_px`` (NaN without F).
     """
+    points = pair.control_points()
     rows: list[Row] = []
-    for name in TIMED_INPUTS:
+    for name in dict.fromkeys(name for names in inputs.values() for name in names):
         start = time.perf_counter()
-        sets = _match(pair, name)
+        matches = match_pair(pair, (name,))
         matching = time.perf_counter() - start
-        for estimator in estimators:
-            start = time.perf_counter()
+        for estimator in (e for e, names in inputs.items() if name in names):
             for seed in seeds:
-                estimate_from_matches(
-                    sets,
+                how = hand_overs[estimator][name]
+                start = time.perf_counter()
+                estimate = estimate_from_matches(
+                    matches.sets[name],
                     estimator=estimator,
                     seed=child_seed(seed, pair.pair_id),
-                    hand_over=hand_overs[estimator][name],
+                    hand_over=how,
+                    pixel_factors=matches.pixel_factors,
                 )
-            rows.append(
-                {
-                    "pair_id": pair.pair_id,
-                    "scene": pair.scene,
-                    "input": name,
-                    "estimator": estimator,
-                    "matching_seconds": matching,
-                    "estimator_seconds": (time.perf_counter() - start) / len(seeds),
-                }
-            )
+                seconds = time.perf_counter() - start
+                rows.append(
+                    {
+                        "pair_id": pair.pair_id,
+                        "scene": pair.scene,
+                        "input": name,
+                        "estimator": estimator,
+                        "seed": seed,
+                        "matching_seconds": matching,
+                        "estimator_seconds": seconds,
+                        "error_px": np.nan if estimate.F is None else errors_px(estimate.F, *points).mean(),
+                    }
+                )
     return rows
 
 
-def _match(pair: Pair, name: str) -> tuple[MatchSet, ...]:
-    if name == "standard":
-        return (standard_matches(pair.image1, pair.image2),)
-    return rank_matches(pair.image1, pair.image2, preset=name).sets
+def estimator_table(timings: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
+    """Return how long each estimator takes on each input when it succeeds and when it fails.
+
+    Parameters
+    ----------
+    timings : DataFrame
+        Rows of `measure_pair`.
+    threshold_px : float
+        Of success, pixels.
+
+    Returns
+    -------
+    DataFrame
+        ``estimator, input, outcome`` (``success`` or ``failure``), ``runs``, and mean, median and longest
+        seconds of the estimator alone; outcomes that did not occur have no row.
+    """
+    outcome = np.where(timings["error_px"] < threshold_px, "success", "failure")
+    rows = []
+    for (estimator, name, result), part in timings.assign(outcome=outcome).groupby(
+        ["estimator", "input", "outcome"], sort=False
+    ):
+        seconds = part["estimator_seconds"]
+        cells = {"runs": len(part), "mean": seconds.mean(), "median": seconds.median(), "longest": seconds.max()}
+        rows.append({"estimator": estimator, "input": name, "outcome": result, **cells})
+    return pd.DataFrame(rows)
 
 
 def overhead_table(timings: pd.DataFrame, results: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
-    """Return one row per preset, family and estimator.
+    """Return one row per preset, family and estimator that gets the preset.
 
     Parameters
     ----------
@@ -100,27 +121,29 @@ def overhead_table(timings: pd.DataFrame, results: pd.DataFrame, threshold_px: f
     Returns
     -------
     DataFrame
-        ``preset, family, estimator, seconds_without, seconds_with`` (means over pairs), ``overhead`` (their
-        ratio, the paper's definition) and ``contribution``.
+        ``preset, family, estimator, seconds_without, seconds_with`` (means over runs, matching included),
+        ``overhead`` (their ratio, the paper's definition) and ``contribution``.
     """
     total = timings.assign(seconds=timings["matching_seconds"] + timings["estimator_seconds"])
-    means = total.groupby(["family", "estimator", "input"], sort=False)["seconds"].mean()
+    means = total.groupby(["family", "estimator", "input"], sort=False)["seconds"].mean().to_dict()
     rows = []
-    for preset in (name for name in TIMED_INPUTS if name != "standard"):
+    for preset in PRESETS:
         for family in order_of(timings["family"]):
             for estimator in order_of(timings["estimator"]):
-                without = float(means[family, estimator, "standard"])
-                with_step = float(means[family, estimator, preset])
+                without = next((name for name in WITHOUT if (family, estimator, name) in means), None)
+                if without is None or (family, estimator, preset) not in means:
+                    continue
                 where = {"family": family, "estimator": estimator}
-                a, _ = success_rates(results, threshold_px, input="standard", **where)
+                a, _ = success_rates(results, threshold_px, input=without, **where)
                 b, _ = success_rates(results, threshold_px, input=preset, **where)
+                before, after = means[family, estimator, without], means[family, estimator, preset]
                 rows.append(
                     {
                         "preset": preset,
                         **where,
-                        "seconds_without": without,
-                        "seconds_with": with_step,
-                        "overhead": with_step / without,
+                        "seconds_without": before,
+                        "seconds_with": after,
+                        "overhead": after / before,
                         "contribution": float(contribution(a.mean(), b.mean())),
                     }
                 )
@@ -135,38 +158,3 @@ def correlation(table: pd.DataFrame) -> float:
     if table["contribution"].nunique() < 2 or table["overhead"].nunique() < 2:
         return float("nan")
     return float(stats.spearmanr(table["contribution"], table["overhead"]).statistic)
-
-
-def overhead_figure(table: pd.DataFrame, path: Path) -> Path:
-    """Draw overhead over contribution: one point per family and estimator, one panel per preset."""
-    presets, families = order_of(table["preset"]), order_of(table["family"])
-    estimators = order_of(table["estimator"])
-    with styled(1, len(presets), (4.6 * len(presets) + 1.2, 3.9), sharey=True) as (figure, axes):
-        for axis, preset in zip(axes[0], presets, strict=True):
-            part = table[(table["preset"] == preset) & np.isfinite(table["contribution"])]
-            for row in part.to_dict("records"):
-                axis.scatter(
-                    100 * row["contribution"],
-                    row["overhead"],
-                    s=52,
-                    color=SERIES[families.index(row["family"]) % len(SERIES)],
-                    marker=_MARKERS[estimators.index(row["estimator"]) % len(_MARKERS)],
-                    edgecolor="white",
-                    linewidth=0.8,
-                    zorder=3,
-                )
-            rank = correlation(table[table["preset"] == preset])
-            left_out = int((table["preset"] == preset).sum() - len(part))
-            note = f"rank correlation {rank:+.2f}" if np.isfinite(rank) else "no correlation: no variation"
-            if left_out:
-                note += f"\n{left_out} not shown: nothing succeeded without"
-            axis.text(0.98, 0.97, note, transform=axis.transAxes, ha="right", va="top")
-            axis.axvline(0, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
-            axis.set(title=f"preset {preset}", xlabel="contribution, %")
-        axes[0][0].set(ylabel="time with the step / without", ylim=(0, table["overhead"].max() * 1.25))
-        for k, family in enumerate(families):
-            axes[0][0].plot([], [], "o", color=SERIES[k % len(SERIES)], label=family)
-        for k, estimator in enumerate(estimators):
-            axes[0][0].plot([], [], _MARKERS[k % len(_MARKERS)], color=MUTED, label=estimator)
-        figure.legend(loc="outside right center")
-        return save(figure, path)

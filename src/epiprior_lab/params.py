@@ -4,61 +4,37 @@ Every key must be there, of its type and in its range. There are no defaults her
 """
 
 import dataclasses
-import types
-import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import yaml
 
 from epiprior.errors import SettingsError
+from epiprior_lab.sections import Range, Section, build_section
 
 Split = Literal["train", "validation", "test"]
 Preset = Literal["paper", "default"]
-Input = Literal["standard", "snn", "paper", "default"]
-
-
-@dataclass(frozen=True)
-class Range:
-    """Inclusive bounds of a number, or of every number in a tuple."""
-
-    low: float
-    high: float
-
+Input = Literal["standard", "snn", "generalized", "paper", "default"]
 
 Seed = Annotated[int, Range(0, 2**31 - 1)]
 Probability = Annotated[float, Range(0, 1)]
 Pixels = Annotated[float, Range(0.01, 1000)]
+PairCount = Annotated[int, Range(1, 100_000)]
 Rows = Annotated[int, Range(100, 10**8)]
+TopK = Annotated[int, Range(8, 1_000_000)]
 
-
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """Base of all sections: checks types and ranges of its fields when it is made.
-
-    Raises
-    ------
-    SettingsError
-        If a field has a wrong type, is out of range, or is an empty or repeating list. The message names it.
-    """
-
-    def __post_init__(self) -> None:
-        for name, hint in typing.get_type_hints(type(self), include_extras=True).items():
-            _check(name, getattr(self, name), hint)
-
-
-AnySection = typing.TypeVar("AnySection", bound=Section)
+_WITHOUT = frozenset({"standard", "generalized"})  # what an estimator gets without the preprocessing step
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairCounts(Section):
-    """Pairs of one family in each split."""
+    """Pairs of each family in each split."""
 
-    train: Annotated[int, Range(1, 100_000)]
-    validation: Annotated[int, Range(1, 100_000)]
-    test: Annotated[int, Range(1, 100_000)]
+    train: Mapping[str, PairCount]
+    validation: Mapping[str, PairCount]
+    test: Mapping[str, PairCount]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +47,15 @@ class SceneParams(Section):
     image_width: Annotated[int, Range(64, 8192)]
     image_height: Annotated[int, Range(64, 8192)]
     jpeg_quality: Annotated[int, Range(1, 100)]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for split in ("train", "validation", "test"):
+            counts = getattr(self.pairs, split)
+            if set(counts) != set(self.families):
+                raise SettingsError(
+                    f"pairs.{split} counts {sorted(counts)}, expected the families {list(self.families)}"
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,18 +107,31 @@ class TrainParams(Section):
 
 
 @dataclass(frozen=True, kw_only=True)
+class WeightedParams(Section):
+    """Estimators that weigh matches by their probabilities, and so may profit from many improbable ones."""
+
+    estimators: tuple[str, ...]
+    top_k: tuple[TopK | None, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class HandOverParams(Section):
     """Seeds and candidates of the choice of how matches are handed to each estimator."""
 
     seeds: tuple[Seed, ...]
-    one_to_one: tuple[bool, ...]
-    top_k: tuple[Annotated[int, Range(8, 1_000_000)] | None, ...]
-    min_probability: tuple[Probability | None, ...]
     max_distance_ratio: tuple[Probability, ...]
+    top_k: tuple[TopK | None, ...]
+    weighted: WeightedParams
+    min_probability: tuple[Probability | None, ...]
     threshold_px: tuple[Pixels, ...]
-    spread: tuple[Annotated[float, Range(0.001, 1)] | None, ...]
-    collect: tuple[bool, ...]
+    one_to_one: tuple[bool, ...]
     refine: tuple[bool, ...]
+    collect: tuple[bool, ...]
+    spread: tuple[Annotated[float, Range(0.001, 1)] | None, ...]
+
+    def top_k_for(self, estimator: str) -> tuple[int | None, ...]:
+        """Return the numbers of matches that are tried for an estimator."""
+        return self.weighted.top_k if estimator in self.weighted.estimators else self.top_k
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,17 +141,78 @@ class EvaluateParams(Section):
     seeds: tuple[Seed, ...]
     estimators: tuple[str, ...]
     inputs: tuple[Input, ...]
+    other_inputs: Mapping[str, tuple[Input, ...]]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        unknown = [name for name in self.other_inputs if name not in self.estimators]
+        if unknown:
+            raise SettingsError(f"other_inputs.{unknown[0]}: not among estimators {list(self.estimators)}")
+        for name, inputs in self.inputs_by_estimator.items():
+            if len(_WITHOUT.intersection(inputs)) != 1:
+                raise SettingsError(f"inputs of {name} are {', '.join(inputs)}: expected standard or generalized")
+
+    @property
+    def inputs_by_estimator(self) -> dict[str, tuple[str, ...]]:
+        """The inputs that each estimator gets, in the order of `estimators`."""
+        return {name: self.other_inputs.get(name, self.inputs) for name in self.estimators}
+
+    @property
+    def all_inputs(self) -> tuple[str, ...]:
+        """All inputs that some estimator gets."""
+        return tuple(dict.fromkeys(i for inputs in self.inputs_by_estimator.values() for i in inputs))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CascadeParams(Section):
+    """Seeds, candidates and tolerance of the rule by which an estimate without preprocessing is kept."""
+
+    seeds: tuple[Seed, ...]
+    tolerance: Probability
+    min_support: tuple[Annotated[int, Range(0, 1_000_000)], ...]
+    min_inlier_ratio: tuple[Probability, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnalysisParams(Section):
+    """What the analysis of the method's parts compares, and the named pairs of the paper's Table 1."""
+
+    pairs_per_family: Annotated[int, Range(1, 100_000)]
+    estimators: tuple[str, ...]
+    two_keypoint_counts: tuple[Annotated[int, Range(2, 1000)], ...]
+    refined_hypotheses: Annotated[int, Range(1, 10_000)]
+    table_quantiles: tuple[Probability, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OverheadParams(Section):
+    """Pairs and seeds on which time is measured."""
+
+    pairs_per_family: Annotated[int, Range(1, 1000)]
+    seeds: tuple[Seed, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundParams(Section):
+    """What the study wants to reach; the report says what it did reach."""
+
+    hard_families: tuple[str, ...]
+    easy_families: tuple[str, ...]
+    contribution: Mapping[str, Annotated[float, Range(0, 100)]]
+    easy_loss: Probability
+    champion: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReportParams(Section):
-    """Thresholds of success and the bootstrap."""
+    """Thresholds of success, the bootstrap, and bounds."""
 
     seed: Seed
     success_px: Pixels
     strict_px: Pixels
     bootstrap_draws: Annotated[int, Range(100, 1_000_000)]
     contact_sheet_pairs: Annotated[int, Range(1, 100)]
+    bounds: BoundParams
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -171,7 +230,25 @@ class Params(Section):
     train: TrainParams
     hand_over: HandOverParams
     evaluate: EvaluateParams
+    cascade: CascadeParams
+    analysis: AnalysisParams
+    overhead: OverheadParams
     report: ReportParams
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        bounds, families, estimators = self.report.bounds, self.scenes.families, self.evaluate.estimators
+        for key, names, known in (
+            ("hand_over.weighted.estimators", self.hand_over.weighted.estimators, estimators),
+            ("report.bounds.hard_families", bounds.hard_families, families),
+            ("report.bounds.easy_families", bounds.easy_families, families),
+            ("report.bounds.contribution", tuple(bounds.contribution), estimators),
+            ("report.bounds.champion", (bounds.champion,), estimators),
+            ("analysis.estimators", self.analysis.estimators, estimators),
+        ):
+            unknown = [name for name in names if name not in known]
+            if unknown:
+                raise SettingsError(f"{key}: {unknown[0]!r} is not among {', '.join(known)}")
 
 
 def load_params(path: Path | str = "params.yaml") -> Params:
@@ -198,58 +275,6 @@ def load_params(path: Path | str = "params.yaml") -> Params:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise SettingsError(f"{path}: cannot be read as YAML: {error}") from error
     try:
-        return _build(Params, document, "")
+        return build_section(Params, document, "")
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from error
-
-
-def _build(section: type[AnySection], document: Any, prefix: str) -> AnySection:
-    """Make a section of a mapping, its sub-sections first; keys in messages are dotted from the root."""
-    if not isinstance(document, Mapping):
-        raise SettingsError(f"{prefix.rstrip('.') or 'document'}: expected a mapping, got {document!r}")
-    hints = typing.get_type_hints(section)
-    unknown = [str(key) for key in document if key not in hints]
-    missing = [key for key in hints if key not in document]
-    if unknown:
-        raise SettingsError(f"unknown key {prefix}{unknown[0]}; known are {', '.join(hints)}")
-    if missing:
-        raise SettingsError(f"missing key {prefix}{missing[0]}")
-    values = {}
-    for key, hint in hints.items():
-        value = document[key]
-        if isinstance(hint, type) and issubclass(hint, Section):
-            value = _build(hint, value, f"{prefix}{key}.")
-        elif isinstance(value, list):
-            value = tuple(value)
-        values[key] = value
-    try:
-        return section(**values)
-    except SettingsError as error:
-        raise SettingsError(f"{prefix}{error}") from error
-
-
-def _check(name: str, value: Any, hint: Any) -> None:
-    """Check one value against its annotation; `hint` is made of the few forms that the sections above use."""
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is Annotated:
-        _check(name, value, arguments[0])
-        low, high = arguments[1].low, arguments[1].high
-        if not low <= value <= high:  # also refuses NaN
-            raise SettingsError(f"{name} = {value!r}: expected {low} to {high}")
-    elif origin in (types.UnionType, typing.Union):
-        if value is not None:
-            _check(name, value, arguments[0])
-    elif origin is tuple:
-        if not isinstance(value, tuple) or not value:
-            raise SettingsError(f"{name} = {value!r}: expected a list of one or more values")
-        for item in value:
-            _check(name, item, arguments[0])
-        if len(set(value)) < len(value):
-            raise SettingsError(f"{name} = {value!r}: a value is repeated")
-    elif origin is Literal:
-        if value not in arguments:
-            raise SettingsError(f"{name} = {value!r}: expected one of {', '.join(map(str, arguments))}")
-    else:
-        accepted = (int, float) if hint is float else hint
-        if not isinstance(value, accepted) or (isinstance(value, bool) and hint is not bool):
-            raise SettingsError(f"{name} = {value!r}: expected {hint.__name__}")

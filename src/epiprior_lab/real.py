@@ -20,9 +20,10 @@ from epiprior.errors import SettingsError
 from epiprior.handover import HandOver, find_hand_overs, hand_over, load_hand_overs
 from epiprior.models import find_model
 from epiprior.types import FloatArray, MatchSet
-from epiprior_lab.datasets import Camera, DatasetError, Pair, read_pair_set
-from epiprior_lab.evaluation import PairMatches, estimate_row, match_pair, write_rows
+from epiprior_lab.datasets import DatasetError, Pair, read_pair_set
+from epiprior_lab.evaluation import estimate_row, write_rows
 from epiprior_lab.ground_truth import label_matches, reference_fundamental
+from epiprior_lab.matching import PairMatches, match_pair
 from epiprior_lab.parallel import Task, default_workers, map_tasks
 from epiprior_lab.seeds import child_seed
 from epiprior_lab.statistics import precision_at, successes
@@ -46,6 +47,7 @@ def run_real(
     out: Path = Path("reports/real.csv"),
     workers: int | None = None,
     store: Path | None = Path("data/.tasks/real"),
+    scheduler: str | None = None,
     console: Console | None = None,
 ) -> pd.DataFrame:
     """Evaluate the three inputs on sets of photographs, print a table per set, write a row per pair.
@@ -64,6 +66,8 @@ def run_real(
         Processes; `parallel.default_workers` by default.
     store : Path, optional
         Where results per pair are kept, so that a run that was killed continues; None keeps none.
+    scheduler : str, optional
+        Address of a dask scheduler that gets the pairs; `parallel.default_scheduler` by default.
     console : Console, optional
         Where tables are printed.
 
@@ -107,6 +111,7 @@ def run_real(
             workers=workers or default_workers(),
             description=root.name,
             store=None if store is None else store / root.name,
+            scheduler=scheduler,
         )
         of_set = [row for result in results for row in result]
         console.print(summary(pd.DataFrame(of_set), title=root.name))
@@ -193,7 +198,7 @@ def evaluate_photographs(
                     "seed": seed,
                     "matches": len(hand_over(best, hand_overs[name])),
                     "precision_100": precision,
-                    **row,
+                    **{key: value for key, value in row.items() if key != "matches"},
                 }
             )
     return rows
@@ -202,7 +207,8 @@ def evaluate_photographs(
 def top_precision(pair: Pair, best: MatchSet) -> float:
     """Return the share of right matches among the first 100, or NaN where the ground truth decides no F."""
     try:
-        reference_fundamental(pair)
+        if pair.truth == "epipolar":
+            reference_fundamental(pair)
     except DatasetError:
         logger.warning("pair %s: its control points decide no F; matches are not labelled", pair.pair_id)
         return float("nan")
@@ -217,7 +223,7 @@ def best_set(matches: PairMatches, name: str, how: HandOver) -> MatchSet:
 
 
 def evaluation_points(pair: Pair) -> tuple[FloatArray, FloatArray]:
-    """Return the control points of a pair, or where it has none, points that its cameras allow.
+    """Return the control points of a pair, or where it has none, points that its cameras or its F allow.
 
     Notes
     -----
@@ -228,29 +234,30 @@ def evaluation_points(pair: Pair) -> tuple[FloatArray, FloatArray]:
     Raises
     ------
     DatasetError
-        If the pair has neither control points nor cameras, or no epipolar line meets image 2.
+        If the pair has no control points, cameras or F, or no epipolar line meets image 2.
     """
     if pair.control_points_path is not None:
         return pair.control_points()
-    if pair.camera1 is None or pair.camera2 is None:
+    if pair.fundamental_path is None and (pair.camera1 is None or pair.camera2 is None):
         raise DatasetError(f"pair {pair.pair_id!r}: neither control points nor cameras")
     F = reference_fundamental(pair)
-    x1 = _grid(pair.camera1)
+    size1, size2 = pair.sizes()
+    x1 = _grid(size1)
     lines = np.column_stack([x1, np.ones(len(x1))]) @ F.T
-    found = [_on_line(line, pair.camera2, k) for k, line in enumerate(lines)]
+    found = [_on_line(line, size2, k) for k, line in enumerate(lines)]
     keep = np.array([x is not None for x in found])
     if not keep.any():
         raise DatasetError(f"pair {pair.pair_id!r}: no epipolar line of image 1 meets image 2")
     return x1[keep], np.array([x for x in found if x is not None])
 
 
-def _grid(camera: Camera) -> FloatArray:
+def _grid(size: tuple[int, int]) -> FloatArray:
     steps = (np.arange(_GRID) + 0.5) / _GRID
-    x, y = np.meshgrid(steps * camera.width, steps * camera.height)
+    x, y = np.meshgrid(steps * size[0], steps * size[1])
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def _on_line(line: FloatArray, camera: Camera, number: int) -> FloatArray | None:
+def _on_line(line: FloatArray, size: tuple[int, int], number: int) -> FloatArray | None:
     """Return a point of the line ``a x + b y + c = 0`` inside the image, or None if they do not meet."""
     normal = line[:2]
     if not np.linalg.norm(normal) > 0:
@@ -258,12 +265,12 @@ def _on_line(line: FloatArray, camera: Camera, number: int) -> FloatArray | None
     foot = -line[2] * normal / (normal @ normal)
     along = np.array([-normal[1], normal[0]]) / np.linalg.norm(normal)
     low, high = -np.inf, np.inf
-    for start, step, size in zip(foot, along, (camera.width - 1.0, camera.height - 1.0), strict=True):
+    for start, step, end in zip(foot, along, (size[0] - 1.0, size[1] - 1.0), strict=True):
         if step == 0:
-            if not 0 <= start <= size:
+            if not 0 <= start <= end:
                 return None
             continue
-        ends = sorted((-start / step, (size - start) / step))
+        ends = sorted((-start / step, (end - start) / step))
         low, high = max(low, ends[0]), min(high, ends[1])
     if not low < high:
         return None

@@ -1,7 +1,9 @@
 """Evaluation of pairs and the choice of hand-overs, on tiny pictures with a model made by hand."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,16 +19,16 @@ from epiprior.models import load_model
 from epiprior.preprocess import rank_matches
 from epiprior.presets import find_preset
 from epiprior.types import MatchSet
-from epiprior_lab import evaluation, hand_over_search, rankings
+from epiprior_lab import evaluation, hand_over_search, matching, rankings
 from epiprior_lab.datasets import Camera, Pair, read_pair_set
 from epiprior_lab.ground_truth import LabelSettings
-from epiprior_lab.params import HandOverParams
+from epiprior_lab.params import HandOverParams, WeightedParams
 from epiprior_lab.seeds import child_seed
+from epiprior_lab.source_graph import source_files
 from pictures import relief_pair, save
 from tiny_model import make_model
 
-ESTIMATORS = ("usac", "magsac++")
-INPUTS = ("standard", "snn", "default")
+INPUTS = {"usac": ("standard", "snn", "default"), "magsac++": ("generalized", "default")}
 SEEDS = (0, 1)
 
 
@@ -67,7 +69,6 @@ def evaluate(pairs, hand_overs, **other):
     return evaluation.evaluate_pairs(
         pairs,
         family="relief",
-        estimators=ESTIMATORS,
         inputs=INPUTS,
         seeds=SEEDS,
         hand_overs=hand_overs,
@@ -79,9 +80,10 @@ def evaluate(pairs, hand_overs, **other):
 def test_rows_of_a_pair(pairs, hand_overs, tiny_model, tmp_path):
     got = evaluate(pairs, hand_overs, store=tmp_path / "store")
     results = pd.DataFrame(got.results)
-    runs = len(ESTIMATORS) * len(INPUTS) * len(SEEDS)
+    runs = sum(len(names) for names in INPUTS.values()) * len(SEEDS)
     assert results.groupby("pair_id").size().to_dict() == {"relief-0": runs, "blank-0": runs}
     assert not results.duplicated(["pair_id", "estimator", "input", "seed"]).any()
+    assert {e: tuple(dict.fromkeys(part["input"])) for e, part in results.groupby("estimator")} == INPUTS
 
     blank = results[results["pair_id"] == "blank-0"]
     assert set(blank["status"]) == {"too_few_matches"}
@@ -132,24 +134,101 @@ def test_rankings_roll_and_calibration_of_a_pair(pairs, hand_overs, tiny_model):
     assert abs(roll["expected_roll_deg"].iloc[0]) < 5
 
 
+def test_a_changed_hand_over_leaves_other_estimators_as_they_are(pairs, hand_overs, tiny_model, tmp_path, monkeypatch):
+    """What was computed is computed again only where something of it changed, matches included."""
+    evaluate(pairs[:1], hand_overs, store=tmp_path)
+    calls = []
+
+    def counted(matches, points, **settings):
+        calls.append((settings["estimator"], settings["input_name"]))
+        return evaluation_row(matches, points, **settings)
+
+    evaluation_row = evaluation.estimate_row
+    monkeypatch.setattr(evaluation, "estimate_row", counted)
+    monkeypatch.setattr(matching, "load_photograph", None)  # nothing is matched again
+    changed = {**hand_overs, "usac": {**hand_overs["usac"], "snn": HandOver(threshold_px=2.5)}}
+    evaluate(pairs[:1], changed, store=tmp_path)
+    assert set(calls) == {("usac", name) for name in INPUTS["usac"]}
+    calls.clear()
+    unused = {**changed, "magsac++": {**hand_overs["magsac++"], "snn": HandOver(threshold_px=2.5)}}
+    evaluate(pairs[:1], unused, store=tmp_path)
+    assert not calls
+
+
+def test_a_deterministic_estimator_runs_once(pairs, hand_overs, tiny_model, monkeypatch):
+    seeds = []
+
+    def made_up(matches, points, **settings):
+        seeds.append(settings["seed"])
+        return {"error_px": float(len(seeds))}
+
+    monkeypatch.setattr(evaluation, "estimate_row", made_up)
+    monkeypatch.setattr(evaluation, "is_deterministic", lambda name: name == "magsac++")
+    results = pd.DataFrame(evaluate(pairs[:1], hand_overs).results)
+    fixed = results[results["estimator"] == "magsac++"]
+    assert fixed["seed"].tolist() == [0, 1] * 2
+    assert fixed.groupby("input")["error_px"].nunique().tolist() == [1, 1]
+    assert results[results["estimator"] == "usac"]["error_px"].is_unique
+    assert len(seeds) == 3 * 2 + 2
+
+
+def test_which_estimators_are_deterministic(monkeypatch):
+    class Fixed:
+        deterministic = True
+
+    assert not evaluation.is_deterministic("usac")
+    monkeypatch.setattr(evaluation, "find_estimator", lambda name: Fixed())
+    assert evaluation.is_deterministic("anything")
+
+
 def test_unknown_input_is_named(pairs):
     with pytest.raises(SettingsError, match="'lowe'"):
-        evaluation.match_pair(pairs[0], ("lowe",))
+        matching.match_pair(pairs[0], ("lowe",))
 
 
-def test_shared_features_change_nothing(pairs, tiny_model):
-    got = evaluation.match_pair(pairs[0], ("standard", "default"))
+def test_shared_features_and_files_change_nothing(pairs, tiny_model, tmp_path):
+    [files] = matching.store_matches(pairs[:1], ("standard", "default"), tmp_path / "matches")
+    got = files.only(("default",)).read()
     wanted = rank_matches(pairs[0].image1, pairs[0].image2).sets
+    assert list(got.sets) == ["default"]
     assert len(got.sets["default"]) == len(wanted)
     for a, b in zip(got.sets["default"], wanted, strict=True):
         np.testing.assert_array_equal(a.probability, b.probability)
         np.testing.assert_array_equal(a.x2, b.x2)
+        np.testing.assert_array_equal(a.rough_matrices, b.rough_matrices)
     assert got.pixel_factors == (1.0, 1.0)
+
+
+def test_thresholds_of_large_images_are_meant_at_working_size(pairs, tmp_path):
+    """An image of 1230 pixels is worked on at 1024; its F and errors are in its own pixels."""
+    paths = []
+    for k, path in enumerate((pairs[0].image1, pairs[0].image2)):
+        image = cv2.resize(cv2.imread(str(path)), None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
+        paths.append(tmp_path / f"{k}.png")
+        cv2.imwrite(str(paths[-1]), image)
+    assert max(image.shape) > FeatureSettings().max_image_size
+    large = replace(pairs[0], image1=paths[0], image2=paths[1])
+    matches = matching.match_pair(large, ("snn",))
+    factor = max(image.shape) / FeatureSettings().max_image_size
+    assert matches.pixel_factors == pytest.approx((factor, factor))
+    how = HandOver(threshold_px=1.0)
+    points = tuple(3 * x + 1 for x in pairs[0].control_points())
+    row = evaluation.estimate_row(matches, points, estimator="usac", input_name="snn", seed=0, hand_over=how)
+    assert row["error_px"] < 2
+    without = replace(matches, pixel_factors=(1.0, 1.0))
+    strict = evaluation.estimate_row(without, points, estimator="usac", input_name="snn", seed=0, hand_over=how)
+    assert strict["support"] < row["support"]  # a pixel of the large image is less than a working pixel
+
+
+def test_matches_do_not_depend_on_estimators():
+    """So that a changed estimator leaves stored matches as they are."""
+    files = source_files(Path(matching.__file__))
+    assert not [file for file in files if file.parent.name == "estimators"]
 
 
 def test_presets_detect_the_same_features():
     """Descriptors are normalised differently, but detection, which `match_pair` shares, is one."""
-    settings = [find_preset(name).features for name in evaluation.PRESETS]
+    settings = [find_preset(name).features for name in matching.PRESETS]
     assert {replace(s, root=True, centred=True) for s in settings} == {FeatureSettings()}
 
 
@@ -200,19 +279,21 @@ def test_true_roll_turns_directions_of_the_image(degrees, tmp_path):
 
 PARAMS = HandOverParams(
     seeds=(0, 1),
-    one_to_one=(True, False),
-    top_k=(100, 300, 500, None),
-    min_probability=(None, 0.2),
     max_distance_ratio=(0.7, 0.8, 0.9),
+    top_k=(100, 300, 500, None),
+    weighted=WeightedParams(estimators=("epiprior",), top_k=(300, 2000)),
+    min_probability=(None, 0.2),
     threshold_px=(1.0, 1.5, 2.0),
-    spread=(None, 0.1),
-    collect=(True, False),
+    one_to_one=(True, False),
     refine=(True, False),
+    collect=(True, False),
+    spread=(None, 0.1),
 )
+SEARCHED = {"usac": ("standard", "default"), "prosac": ("standard", "default"), "epiprior": ("generalized", "default")}
 
 
 def no_matches(pair, inputs):
-    return evaluation.PairMatches(sets=dict.fromkeys(inputs, ()), pixel_factors=(1.0, 1.0))
+    return matching.PairMatches(sets=dict.fromkeys(inputs, ()), pixel_factors=(1.0, 1.0))
 
 
 def made_up_error(matches, points, *, estimator, input_name, seed, hand_over: HandOver):
@@ -220,7 +301,7 @@ def made_up_error(matches, points, *, estimator, input_name, seed, hand_over: Ha
     if estimator == "prosac":
         return {"error_px": 5.0}
     penalty = 4 * abs(hand_over.threshold_px - 1.0)
-    if input_name in evaluation.BASELINES:
+    if input_name == "standard":
         penalty += 80 * abs(hand_over.max_distance_ratio - 0.7) + (hand_over.top_k is not None)
     else:
         penalty += abs((hand_over.top_k or 1000) - 300) / 50 + 5 * (hand_over.min_probability is not None)
@@ -229,60 +310,71 @@ def made_up_error(matches, points, *, estimator, input_name, seed, hand_over: Ha
 
 
 def test_search_finds_the_best_hand_over(pairs, monkeypatch):
-    monkeypatch.setattr(hand_over_search, "match_pair", no_matches)
+    monkeypatch.setattr(matching, "match_pair", no_matches)
     monkeypatch.setattr(hand_over_search, "estimate_row", made_up_error)
     monkeypatch.setattr(hand_over_search, "_effect", lambda matches, name, how: how)
-    best, trials = hand_over_search.search_hand_overs(
-        pairs, estimators=("usac", "prosac"), inputs=("standard", "default"), params=PARAMS
-    )
+    best, trials = hand_over_search.search_hand_overs(pairs, inputs=SEARCHED, params=PARAMS)
     assert best["usac", "standard"].how == HandOver(
         one_to_one=False, max_distance_ratio=0.7, threshold_px=1.0, refine=False
     )
     assert best["usac", "default"].how == HandOver(
         one_to_one=False, top_k=300, spread=0.1, threshold_px=1.0, collect=True, refine=False
     )
-    assert best["usac", "default"].score[0] == 4  # two pairs, two seeds
+    assert best["usac", "default"].score[0] == 2 * 4  # two pairs, two seeds, both thresholds
     # Where nothing matters, the first candidate stays, and the search is the same again.
     assert best["prosac", "default"].how.top_k == 100
     tried = [(t.estimator, t.input, t.how) for t in trials]
     assert len(tried) == len(set(tried))
     rows = [trial.row(trial is best[trial.estimator, trial.input]) for trial in trials]
-    assert sum(row["chosen"] for row in rows) == 4
+    assert sum(row["chosen"] for row in rows) == 6
     chosen = hand_over_search.chosen_hand_overs(best)
+    assert {e: tuple(table) for e, table in chosen.items()} == SEARCHED
     assert chosen["usac"]["standard"] == best["usac", "standard"].how
 
 
-def test_score_breaks_ties_by_strict_successes_then_area():
+def test_every_input_is_searched_by_what_matters_for_it():
+    def varied(estimator, name):
+        return dict(hand_over_search.coordinates(estimator, name, PARAMS))
+
+    assert varied("epiprior", "default")["top_k"] == (300, 2000)
+    assert varied("usac", "default")["top_k"] == PARAMS.top_k
+    assert varied("generalized-ransac", "generalized")["top_k"] == (300, 2000)
+    for name in ("standard", "snn"):
+        assert {"max_distance_ratio", "threshold_px", "one_to_one", "refine"} == varied("usac", name).keys()
+
+
+def test_score_counts_both_thresholds_alike_then_the_area():
     def trial(*errors):
         return hand_over_search.Trial(
             estimator="usac", input="snn", step="top_k", how=HandOver(), errors_px=np.array([errors])
         )
 
-    assert trial(9.0, 9.0).score > trial(1.0, np.nan).score
+    assert trial(9.0, 9.0, 2.0).score > trial(1.0, np.nan, np.nan).score
+    assert trial(1.0, np.nan).score[0] == trial(9.0, 9.0).score[0] == 2
     assert trial(9.0, 2.0).score > trial(4.0, 4.0).score
     assert trial(9.0, 2.0).score > trial(9.5, 2.0).score
-    assert trial(10.0, np.nan).score == (0, 0, 0.0)
+    assert trial(10.0, np.nan).score == (0, 0.0)
 
 
 def test_paper_input_is_handed_over_as_printed():
-    varied = {setting for setting, _ in hand_over_search.coordinates("paper", PARAMS)}
-    assert varied.isdisjoint({"spread", "refine", "collect"})
-    start = hand_over_search.starting_point("paper", PARAMS)
+    varied = hand_over_search.coordinates("usac", "paper", PARAMS)
+    assert {setting for setting, _ in varied}.isdisjoint({"spread", "refine", "collect"})
+    start = hand_over_search.starting_point("usac", "paper")
     assert not start.refine
     assert not start.collect
 
 
-def test_equal_matches_are_estimated_once(pairs, monkeypatch):
-    matches = evaluation.match_pair(pairs[0], ("standard", "snn"))
+def test_equal_matches_are_estimated_once(pairs, monkeypatch, tmp_path):
+    [files] = matching.store_matches(pairs[:1], ("standard", "snn"), tmp_path)
+    matches = files.read()
     how = HandOver(max_distance_ratio=0.9, threshold_px=1.0)
     candidates = [
-        ("usac", "snn", how),
-        ("usac", "snn", replace(how, max_distance_ratio=None)),  # above the ratio of all its matches
-        ("usac", "snn", replace(how, top_k=10_000)),
-        ("usac", "snn", replace(how, top_k=50)),
-        ("usac", "snn", replace(how, threshold_px=2.0)),
-        ("usac", "standard", how),
-        ("magsac++", "snn", how),
+        ("snn", how),
+        ("snn", replace(how, max_distance_ratio=None)),  # above the ratio of all its matches
+        ("snn", replace(how, top_k=10_000)),
+        ("snn", replace(how, top_k=50)),
+        ("snn", replace(how, threshold_px=2.0)),
+        ("standard", how),
     ]
     calls = []
 
@@ -292,14 +384,16 @@ def test_equal_matches_are_estimated_once(pairs, monkeypatch):
 
     points = pairs[0].control_points()
     monkeypatch.setattr(hand_over_search, "estimate_row", counted)
-    got = hand_over_search.candidate_errors("relief-0", points, matches, candidates, (0, 1))
-    assert len(calls) == 5 * 2
-    for (estimator, name, how), errors in zip(candidates, got, strict=True):
+    got = hand_over_search.candidate_errors(
+        pair=pairs[0], matches=files, estimator="usac", candidates=candidates, seeds=(0, 1)
+    )
+    assert len(calls) == 4 * 2
+    for (name, how), errors in zip(candidates, got, strict=True):
         for seed, error in enumerate(errors):
             row = evaluation.estimate_row(
                 matches,
                 points,
-                estimator=estimator,
+                estimator="usac",
                 input_name=name,
                 seed=child_seed(seed, "relief-0"),
                 hand_over=how,

@@ -5,6 +5,8 @@ import pytest
 import yaml
 
 from epiprior.errors import SettingsError
+from epiprior.estimators import names
+from epiprior.handover import INPUTS
 from epiprior_lab.params import Params, load_params
 
 STUDY = Path(__file__).parents[2] / "params.yaml"
@@ -73,7 +75,25 @@ def test_unknown_and_missing_keys_are_named_with_their_section(section, document
         ("hand_over", "top_k", [4], "hand_over.top_k = 4: expected 8 to"),
         ("hand_over", "one_to_one", [1], "hand_over.one_to_one = 1: expected bool"),
         ("hand_over", "min_probability", [None, 1.5], "hand_over.min_probability = 1.5: expected 0 to 1"),
+        (
+            "hand_over",
+            "weighted",
+            {"estimators": ["usax"], "top_k": [8]},
+            "hand_over.weighted.estimators: 'usax' is not",
+        ),
         ("evaluate", "inputs", ["raw"], "evaluate.inputs = 'raw': expected one of standard, snn"),
+        ("evaluate", "inputs", ["snn"], "evaluate.inputs of magsac.* are snn: expected standard or generalized"),
+        ("evaluate", "other_inputs", {"usax": ["standard"]}, "evaluate.other_inputs.usax: not among estimators"),
+        ("evaluate", "other_inputs", {"usac": ["lowe"]}, "evaluate.other_inputs.usac = 'lowe': expected one of"),
+        ("evaluate", "other_inputs", {"usac": ["snn", "snn"]}, "evaluate.other_inputs.usac = .*repeated"),
+        (
+            "evaluate",
+            "other_inputs",
+            {"usac": ["standard", "generalized"]},
+            "evaluate.inputs of usac are standard, gen",
+        ),
+        ("evaluate", "other_inputs", ["usac"], "evaluate.other_inputs = .*expected a mapping"),
+        ("overhead", "seeds", [], r"overhead.seeds = \(\): expected a list"),
         ("report", "strict_px", 20.0, "report.strict_px = 20.0: above success_px"),
     ],
 )
@@ -83,9 +103,45 @@ def test_wrong_types_and_ranges_are_named(section, key, value, message, document
         load(document)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("hard_families", ["open", "closed"], "report.bounds.hard_families: 'closed' is not among facades-easy"),
+        ("contribution", {"usac": -1}, "report.bounds.contribution.usac = -1: expected 0 to 100"),
+        ("contribution", {"usax": 0.5}, "report.bounds.contribution: 'usax' is not among usac"),
+        ("champion", "nobody", "report.bounds.champion: 'nobody' is not among usac"),
+    ],
+)
+def test_bounds_are_about_what_is_studied(key, value, message, document, load):
+    document["report"]["bounds"][key] = value
+    with pytest.raises(SettingsError, match=rf"params\.yaml: {message}"):
+        load(document)
+
+
+def test_every_estimator_is_evaluated_on_its_inputs():
+    params = load_params(STUDY).evaluate
+    assert set(params.estimators) == set(names())
+    assert params.inputs_by_estimator["magsac++"] == ("standard", "snn", "default")
+    assert params.inputs_by_estimator["beem"] == ("standard", "snn", "paper", "default")
+    assert params.inputs_by_estimator["generalized-ransac"] == ("generalized", "snn", "default")
+    assert set(params.all_inputs) == set(INPUTS)
+
+
+def test_weighted_estimators_are_tried_with_more_matches():
+    params = load_params(STUDY).hand_over
+    assert params.top_k_for("usac") == params.top_k
+    assert params.top_k_for("beem") == params.weighted.top_k
+
+
 def test_nested_sections_are_named_whole(document, load):
-    document["scenes"]["pairs"]["train"] = 0
-    with pytest.raises(SettingsError, match=r"params\.yaml: scenes\.pairs\.train = 0: expected 1 to"):
+    document["scenes"]["pairs"]["train"]["open"] = 0
+    with pytest.raises(SettingsError, match=r"params\.yaml: scenes\.pairs\.train\.open = 0: expected 1 to"):
+        load(document)
+
+
+def test_pairs_are_counted_for_exactly_the_families(document, load):
+    del document["scenes"]["pairs"]["test"]["open"]
+    with pytest.raises(SettingsError, match=r"scenes\.pairs\.test counts .*, expected the families"):
         load(document)
 
 

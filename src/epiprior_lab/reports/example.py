@@ -10,7 +10,7 @@ import numpy as np
 
 from epiprior.baselines import standard_matches
 from epiprior.draw import DrawSettings, draw_matches
-from epiprior.estimate import estimate_fundamental
+from epiprior.fundamental import estimate_fundamental
 from epiprior.preprocess import rank_matches
 from epiprior_lab.datasets import Pair
 from epiprior_lab.reports.study import Study, errors_of

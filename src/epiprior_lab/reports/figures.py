@@ -1,104 +1,18 @@
-"""Figures of the evaluation: successes, rankings, roll densities, calibration."""
+"""Figures of what comes before the estimators: rankings, roll densities, calibration."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from epiprior_lab.reports.study import Study, errors_of, order_of
-from epiprior_lab.reports.style import (
-    GRID,
-    INK,
-    INPUT_LOOKS,
-    MUTED,
-    RANKING_LOOKS,
-    SERIES,
-    legend,
-    look_of,
-    save,
-    styled,
-)
-from epiprior_lab.reports.tables import ALL, calibration_sums
-from epiprior_lab.statistics import success_curve
+from epiprior_lab.reports.study import Study, order_of
+from epiprior_lab.reports.style import MUTED, RANKING_LOOKS, SERIES, legend, look_of, save, styled
+from epiprior_lab.reports.tables import calibration_sums
 
-CURVE_LIMIT_PX = 20.0
 ROLL_PANELS = 6
-
-
-def performance_figure(table: pd.DataFrame, threshold_px: float, path: Path) -> Path:
-    """Draw successes per family and estimator, one dot per input: the performance table at a glance.
-
-    Parameters
-    ----------
-    table : DataFrame
-        As from `tables.performance_table`.
-    threshold_px : float
-        Which of its thresholds.
-    path : Path
-        PNG file.
-    """
-    at = table[(table["threshold_px"] == threshold_px) & (table["family"] != ALL)]
-    families, inputs = order_of(at["family"]), [n for n in INPUT_LOOKS if n in at.columns]
-    with styled(1, len(families), (2.75 * len(families), 3.2), sharey=True) as (figure, axes):
-        for axis, family in zip(axes[0], families, strict=True):
-            part = at[at["family"] == family]
-            pairs = int(part["pairs"].max())
-            y = np.arange(len(part))[::-1]
-            for between in y[1:] + 0.5:
-                axis.axhline(between, color=GRID, lw=0.8)
-            for k, name in enumerate(inputs):
-                look = INPUT_LOOKS[name]
-                height = y + 0.13 * ((len(inputs) - 1) / 2 - k)  # equal numbers must not hide each other
-                axis.errorbar(
-                    part[name], height, xerr=part[f"{name}_sd"], fmt=look.marker, color=look.colour,
-                    ms=7 if name == "default" else 5.5, lw=1.1, mec="white", mew=0.7, zorder=3,
-                    label=look.label,
-                )  # fmt: skip
-            axis.set(title=family, xlim=(-0.03 * pairs, 1.03 * pairs), ylim=(-0.6, len(part) - 0.4))
-            axis.set_yticks(y, list(part["estimator"]))
-            axis.tick_params(axis="y", labelsize=9, labelcolor=INK)
-            axis.grid(axis="y", visible=False)
-            axis.set_xlabel(f"pairs of {pairs} below {threshold_px:g} px")
-        handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(handles))
-        return save(figure, path)
-
-
-def success_figure(study: Study, path: Path, limit_px: float = CURVE_LIMIT_PX) -> Path:
-    """Draw successful pairs over the threshold: a row per family, a column per estimator.
-
-    Bars are one standard deviation over seeds, as in the paper's figure of results.
-    """
-    estimators, inputs = order_of(study.results["estimator"]), order_of(study.results["input"])
-    grid = np.linspace(0, limit_px, 201)
-    bars = np.arange(2.5, limit_px, 2.5)
-    rows, columns = len(study.families), len(estimators)
-    with styled(rows, columns, (2.6 * columns, 2.05 * rows + 0.5), sharex=True) as (figure, axes):
-        for row, family in zip(axes, study.families, strict=True):
-            of_family = study.results[study.results["family"] == family]
-            pairs = of_family["pair_id"].nunique()
-            for axis, estimator in zip(row, estimators, strict=True):
-                for k, name in enumerate(inputs):
-                    errors = errors_of(of_family, estimator=estimator, input=name).to_numpy()
-                    look = look_of(INPUT_LOOKS, name, k)
-                    axis.plot(grid, success_curve(errors, grid)[0], color=look.colour, ls=look.line, lw=1.6)
-                    at = bars + 0.22 * (k - (len(inputs) - 1) / 2)  # side by side, so that bars do not hide bars
-                    mean, deviation = success_curve(errors, at)
-                    axis.errorbar(at, mean, deviation, fmt="none", ecolor=look.colour, elinewidth=0.9, alpha=0.8)
-                axis.axvline(10, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
-                axis.set(xlim=(0, limit_px), ylim=(0, pairs * 1.02))
-                if row is axes[0]:
-                    axis.set_title(estimator)
-                if row is axes[-1]:
-                    axis.set_xlabel("threshold, px")
-                axis.tick_params(labelleft=axis is row[0])
-            row[0].set_ylabel(f"{family}\nsuccessful pairs", fontweight="bold")
-        legend(figure, INPUT_LOOKS, [n for n in inputs if n in INPUT_LOOKS])
-        return save(figure, path)
 
 
 def ranking_figure(study: Study, path: Path) -> Path:
@@ -200,70 +114,3 @@ def _reliability(axis: Axes, part: pd.DataFrame, label: str, colour: str) -> Non
     enough = sums.count >= 20  # the share of a few matches says nothing
     stated = sums.probability[enough] / sums.count[enough]
     axis.plot(stated, sums.right[enough] / sums.count[enough], color=colour, marker="o", ms=3.5, lw=1.4, label=label)
-
-
-def hand_over_figure(study: Study, path: Path) -> Path:
-    """Draw the search on validation scenes: a row per estimator, a column per setting, a line per input."""
-    settings = [s for s in _SETTING_NAMES if (study.hand_over["step"] == s).any()]
-    estimators = order_of(study.hand_over["estimator"])
-    rows, columns = len(estimators), len(settings)
-    with styled(rows, columns, (2.1 * columns + 0.6, 1.8 * rows + 0.5), sharey=True) as (figure, axes):
-        for row, estimator in zip(axes, estimators, strict=True):
-            for axis, setting in zip(row, settings, strict=True):
-                part = study.hand_over[study.hand_over["estimator"] == estimator]
-                _sweep_panel(axis, part, setting)
-                if row is axes[0]:
-                    axis.set_title(_SETTING_NAMES[setting])
-            row[0].set_ylabel(f"{estimator}\npairs below 10 px", fontweight="bold")
-        legend(figure, INPUT_LOOKS, [n for n in INPUT_LOOKS if n in set(study.hand_over["input"])])
-        return save(figure, path)
-
-
-_SETTING_NAMES = {
-    "max_distance_ratio": "distance ratio, at most",
-    "top_k": "best matches, at most",
-    "min_probability": "probability, at least",
-    "threshold_px": "threshold, px",
-    "spread": "share per grid cell",
-    "refine": "refined",
-    "collect": "support collected",
-    "one_to_one": "one-to-one",
-}
-
-
-def _sweep_panel(axis: Axes, part: pd.DataFrame, setting: str) -> None:
-    """Draw the trials of one setting, and the best trial before it, from which they vary."""
-    lines = []
-    for k, name in enumerate(order_of(part["input"])):
-        of_input = part[part["input"] == name]
-        varied = of_input[of_input["step"] == setting]
-        if varied.empty:
-            continue
-        before = of_input.loc[: varied.index[0]].iloc[:-1]
-        score = ["successes_10", "successes_3", "area"]
-        trials = pd.concat([varied, before.sort_values(score, kind="stable").tail(1)])
-        lines.append((look_of(INPUT_LOOKS, name, k), trials))
-    if not lines:
-        axis.set_axis_off()
-        return
-    levels = _levels(setting, pd.concat([trials[setting] for _, trials in lines]))
-    for look, trials in lines:
-        x = np.array([levels.index(_level(value)) for value in trials[setting]])
-        order = np.argsort(x, kind="stable")
-        y = trials["successes_10"].to_numpy()
-        axis.plot(x[order], y[order], color=look.colour, ls=look.line, marker=look.marker, ms=4, lw=1.3)
-    axis.set_xticks(range(len(levels)), levels)
-    axis.set_xlim(-0.4, len(levels) - 0.6)
-
-
-def _level(value: Any) -> str:
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    return "none" if pd.isna(value) else f"{float(value):g}"
-
-
-def _levels(setting: str, values: pd.Series[Any]) -> list[str]:
-    """Return the different values from strict to loose: no limit comes last, no floor comes first."""
-    different = {_level(value): value for value in values}
-    none = -np.inf if setting == "min_probability" else np.inf
-    return sorted(different, key=lambda text: none if text == "none" else float(different[text]))

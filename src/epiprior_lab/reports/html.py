@@ -1,12 +1,10 @@
-"""The page that holds everything: figures embedded, so that the file can be sent on its own; timings linked.
+"""The page that holds everything; pictures, and tables of other stages, lie beside it and are linked.
 
-Timings differ from run to run. They are linked by a relative path and their numbers stay out of the page, so
-that its bytes depend on the results only.
+Timings differ from run to run. Their numbers stay out of the page, so that its bytes depend on the results only.
 """
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +16,14 @@ import pandas as pd
 
 import epiprior
 from epiprior_lab.reports.classifier_figure import METRIC_NAMES, TARGET_NAMES
+from epiprior_lab.reports.performance import ALL, COLUMNS, COMPARISONS
 from epiprior_lab.reports.study import order_of
-from epiprior_lab.reports.style import INPUT_LOOKS, RANKING_LOOKS
-from epiprior_lab.reports.tables import ALL, COMPARISONS, contribution_cell
+from epiprior_lab.reports.style import RANKING_LOOKS
+from epiprior_lab.reports.wording import bound_rows, contribution_cell, difference_cell, family_title, success_cell
 
-TIMING_FIGURE = "timings/overhead.png"
-TIMING_TABLE = "timings/overhead.csv"
+# What other stages write; these names are theirs.
+TIMING_FIGURES = {"overhead": "timings/overhead.png", "estimators": "timings/estimators.png"}
+TIMING_TABLES = ("timings/overhead.csv", "timings/estimators.csv", "timings/pairs.csv")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,16 +32,19 @@ class PageTables:
 
     Parameters
     ----------
-    performance, rankings, calibration, classifiers : DataFrame
-        As from the function of that name.
+    performance, duels, bounds, rankings, calibration, classifiers, estimators : DataFrame
+        As from the function of that name, such as `performance.performance_table`.
     hand_over : DataFrame
         The search; the page shows the chosen rows.
     """
 
     performance: pd.DataFrame
+    duels: pd.DataFrame
+    bounds: pd.DataFrame
     rankings: pd.DataFrame
     calibration: pd.DataFrame
     classifiers: pd.DataFrame
+    estimators: pd.DataFrame
     hand_over: pd.DataFrame
 
 
@@ -53,6 +56,7 @@ def write_page(
     success_px: float,
     strict_px: float,
     seeds: int,
+    champion: str,
 ) -> Path:
     """Write the page.
 
@@ -61,14 +65,16 @@ def write_page(
     tables : PageTables
         Numbers.
     figures : mapping of str to Path
-        PNG and JPEG files, by the names that the template uses: ``contact_sheet, example, performance,
-        successes, rankings, roll, calibration, classifiers, hand_over``.
+        PNG and JPEG files in the page's folder or below, by the names that the template uses: ``contact_sheet,
+        example, performance, successes, duels, rankings, roll, calibration, classifiers, hand_over``.
     path : Path
         HTML file.
     success_px, strict_px : float
         Thresholds of success, pixels.
     seeds : int
         Repetitions of each estimate.
+    champion : str
+        The estimator of the duels.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("epiprior_lab.reports", "templates"),
@@ -80,9 +86,13 @@ def write_page(
     )
     page = environment.get_template("page.html.j2").render(
         version=epiprior.__version__,
-        images={name: _data_uri(file) for name, file in figures.items()},
+        images={name: file.relative_to(path.parent).as_posix() for name, file in figures.items()},
         performance=[_performance_block(tables.performance, t) for t in (success_px, strict_px)],
         headline=_headline(tables.performance, success_px),
+        bounds=bound_rows(tables.bounds, champion),
+        duels=[_duel_block(tables.duels, t) for t in (success_px, strict_px)],
+        champion=champion,
+        estimators=tables.estimators.to_dict("records"),
         rankings=_ranking_rows(tables.rankings),
         calibration=tables.calibration[tables.calibration["family"] == ALL].to_dict("records"),
         classifiers=_classifier_rows(tables.classifiers),
@@ -90,18 +100,12 @@ def write_page(
         success_px=success_px,
         strict_px=strict_px,
         seeds=seeds,
-        timing_figure=TIMING_FIGURE,
-        timing_table=TIMING_TABLE,
+        timing_figures=TIMING_FIGURES,
+        timing_tables=TIMING_TABLES,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(page, encoding="utf-8", newline="\n")
     return path
-
-
-def _data_uri(file: Path) -> str:
-    """Return a figure as part of the page."""
-    kind = {".png": "png", ".jpg": "jpeg"}[file.suffix]
-    return f"data:image/{kind};base64," + base64.b64encode(file.read_bytes()).decode("ascii")
 
 
 def _headline(table: pd.DataFrame, threshold_px: float) -> list[dict[str, Any]]:
@@ -110,30 +114,42 @@ def _headline(table: pd.DataFrame, threshold_px: float) -> list[dict[str, Any]]:
     at = table[table["threshold_px"] == threshold_px]
     for family in order_of(at["family"]):
         records = at[at["family"] == family].to_dict("records")
-        row: dict[str, Any] = {"family": "all families" if family == ALL else family}
-        row["pairs"] = max(record["pairs"] for record in records)
-        for name in INPUT_LOOKS:
-            best = max(records, key=lambda record: record[name])
-            row[name] = {"successes": f"{best[name]:.1f}", "estimator": best["estimator"]}
+        row: dict[str, Any] = {"family": family_title(family), "pairs": records[0]["pairs"]}
+        for name in COLUMNS:
+            given = [record for record in records if np.isfinite(record[name])]
+            best = max(given, key=lambda record: record[name], default=None)
+            text = ("–", "") if best is None else (f"{best[name]:.1f}", best["estimator"])
+            row[name] = {"successes": text[0], "estimator": text[1]}
         rows.append(row)
     return rows
 
 
 def _performance_block(table: pd.DataFrame, threshold_px: float) -> dict[str, Any]:
     at = table[table["threshold_px"] == threshold_px]
-    inputs = [name for name in INPUT_LOOKS if name in table.columns]
-    pairs = [(a, b) for a, b in COMPARISONS if f"{b}_over_{a}" in table.columns]
     groups = []
     for family in order_of(at["family"]):
         rows = []
         for row in at[at["family"] == family].to_dict("records"):
-            best = max(round(row[name], 6) for name in inputs)
-            cells = [{"text": f"{row[n]:.1f} ± {row[f'{n}_sd']:.1f}", "best": round(row[n], 6) == best} for n in inputs]
-            changes = [contribution_cell(row, f"{b}_over_{a}") for a, b in pairs]
+            best = np.nanmax([round(row[name], 6) for name in COLUMNS])
+            cells = [{"text": success_cell(row, name), "best": round(row[name], 6) == best} for name in COLUMNS]
+            changes = [contribution_cell(row, f"{b}_over_{a}") for a, b in COMPARISONS]
             rows.append({"estimator": row["estimator"], "cells": cells, "changes": changes})
         number = int(at.loc[at["family"] == family, "pairs"].max())
-        groups.append({"family": "all families" if family == ALL else family, "pairs": number, "rows": rows})
-    return {"threshold": threshold_px, "inputs": inputs, "comparisons": pairs, "groups": groups}
+        groups.append({"family": family_title(family), "pairs": number, "rows": rows})
+    return {"threshold": threshold_px, "inputs": COLUMNS, "comparisons": COMPARISONS, "groups": groups}
+
+
+def _duel_block(table: pd.DataFrame, threshold_px: float) -> dict[str, Any]:
+    """Return one row per other estimator, one cell per family and input."""
+    at = table[table["threshold_px"] == threshold_px]
+    families, inputs = order_of(at["family"]), order_of(at["input"])
+    records = at.set_index(["estimator", "family", "input"]).to_dict("index")
+    rows = []
+    for estimator in order_of(at["estimator"]):
+        found = [records[estimator, family, name] for family in families for name in inputs]
+        cells = [{"text": difference_cell(row), "verdict": row["verdict"]} for row in found]
+        rows.append({"estimator": estimator, "cells": cells})
+    return {"threshold": threshold_px, "families": [family_title(f) for f in families], "inputs": inputs, "rows": rows}
 
 
 def _ranking_rows(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -6,15 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from epiprior_lab.params import ReportParams
-from epiprior_lab.reports import figures
+from epiprior_lab.reports import figures, success_figures
+from epiprior_lab.reports.bounds import bounds_table
 from epiprior_lab.reports.classifier_figure import classifier_figure
+from epiprior_lab.reports.hand_over_figure import hand_over_figure
 from epiprior_lab.reports.html import PageTables, write_page
-from epiprior_lab.reports.study import Study
+from epiprior_lab.reports.markdown import performance_markdown
+from epiprior_lab.reports.performance import duel_table, performance_table
+from epiprior_lab.reports.study import Study, order_of
 from epiprior_lab.reports.tables import (
     calibration_table,
     classifier_table,
-    performance_markdown,
-    performance_table,
+    estimator_table,
     ranking_table,
     write_table,
 )
@@ -34,45 +37,29 @@ def write_report(study: Study, photographs: Mapping[str, Path], out: Path, param
     out : Path
         Folder; ``index.html``, ``performance.csv`` and ``.md``, further tables, and ``figures/``.
     params : ReportParams
-        Thresholds and bootstrap.
+        Thresholds, bootstrap and bounds.
 
     Returns
     -------
     list of Path
         What was written, tables first, the page last.
     """
-    tables = PageTables(
-        performance=performance_table(
-            study,
-            thresholds_px=(params.success_px, params.strict_px),
-            draws=params.bootstrap_draws,
-            seed=params.seed,
-        ),
-        rankings=ranking_table(study),
-        calibration=calibration_table(study),
-        classifiers=classifier_table(study),
-        hand_over=study.hand_over,
-    )
+    tables = _tables(study, params)
     written = [
         write_table(tables.performance, out / "performance.csv"),
-        out / "performance.md",
+        write_table(tables.duels, out / "duel.csv"),
+        write_table(tables.bounds, out / "bounds.csv"),
+        write_table(tables.estimators, out / "estimators.csv"),
         write_table(tables.rankings, out / "rankings.csv"),
         write_table(tables.calibration, out / "calibration.csv"),
         write_table(tables.classifiers, out / "classifiers.csv"),
         write_table(tables.hand_over, out / "hand_over.csv"),
+        out / "performance.md",
     ]
-    markdown = performance_markdown(tables.performance)
+    champion = params.bounds.champion
+    markdown = performance_markdown(tables.performance, tables.duels, tables.bounds, champion)
     (out / "performance.md").write_text(markdown, encoding="utf-8", newline="\n")
-    at = out / "figures"
-    drawn = {
-        "performance": figures.performance_figure(tables.performance, params.success_px, at / "performance.png"),
-        "successes": figures.success_figure(study, at / "successes.png"),
-        "rankings": figures.ranking_figure(study, at / "rankings.png"),
-        "roll": figures.roll_figure(study, at / "roll.png"),
-        "calibration": figures.calibration_figure(study, at / "calibration.png"),
-        "classifiers": classifier_figure(tables.classifiers, at / "classifiers.png"),
-        "hand_over": figures.hand_over_figure(study, at / "hand_over.png"),
-    }
+    drawn = _figures(study, tables, out / "figures", params)
     page = write_page(
         tables,
         {**drawn, **photographs},
@@ -80,5 +67,37 @@ def write_report(study: Study, photographs: Mapping[str, Path], out: Path, param
         success_px=params.success_px,
         strict_px=params.strict_px,
         seeds=study.results["seed"].nunique(),
+        champion=champion,
     )
     return [*written, *drawn.values(), page]
+
+
+def _tables(study: Study, params: ReportParams) -> PageTables:
+    thresholds = (params.success_px, params.strict_px)
+    draws, seed = params.bootstrap_draws, params.seed
+    performance = performance_table(study, thresholds_px=thresholds, draws=draws, seed=seed)
+    duels = duel_table(study, params.bounds.champion, thresholds_px=thresholds, draws=draws, seed=seed)
+    return PageTables(
+        performance=performance,
+        duels=duels,
+        bounds=bounds_table(performance, duels, params.bounds, success_px=params.success_px, thresholds_px=thresholds),
+        rankings=ranking_table(study),
+        calibration=calibration_table(study),
+        classifiers=classifier_table(study),
+        estimators=estimator_table(order_of(study.results["estimator"])),
+        hand_over=study.hand_over,
+    )
+
+
+def _figures(study: Study, tables: PageTables, at: Path, params: ReportParams) -> dict[str, Path]:
+    bounds = params.bounds
+    return {
+        "performance": success_figures.performance_figure(tables.performance, at / "performance.png"),
+        "successes": success_figures.success_figure(study, at / "successes.png"),
+        "duels": success_figures.duel_figure(tables.duels, bounds.champion, bounds.hard_families, at / "duels.png"),
+        "rankings": figures.ranking_figure(study, at / "rankings.png"),
+        "roll": figures.roll_figure(study, at / "roll.png"),
+        "calibration": figures.calibration_figure(study, at / "calibration.png"),
+        "classifiers": classifier_figure(tables.classifiers, at / "classifiers.png"),
+        "hand_over": hand_over_figure(study, at / "hand_over.png"),
+    }

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -78,7 +78,9 @@ class Look:
 
 
 INPUT_LOOKS: Mapping[str, Look] = {
-    "standard": Look("standard (X_L)", "#8b919b", ":", "s"),
+    "without": Look("without: standard matches (X_L)", "#8b919b", ":", "s"),
+    "standard": Look("standard matches (X_L)", "#8b919b", ":", "s"),
+    "generalized": Look("all similar matches", "#cc79a7", (0, (1, 1)), "v"),
     "snn": Look("snn", "#0072b2", "--", "D"),
     "paper": Look("ours, as printed", "#e69f00", "-.", "^"),
     "default": Look("ours, default", "#d55e00", "-", "o"),
@@ -95,9 +97,12 @@ RANKING_LOOKS: Mapping[str, Look] = {
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8b919b", "#2b2f36")
 
 
+Sharing = bool | Literal["row", "col"]
+
+
 @contextmanager
 def styled(
-    rows: int, columns: int, size: tuple[float, float], *, sharex: bool = False, sharey: bool = False
+    rows: int, columns: int, size: tuple[float, float], *, sharex: Sharing = False, sharey: Sharing = False
 ) -> Iterator[tuple[Figure, list[list[Axes]]]]:
     """Yield a figure of `rows` x `columns` axes in the common style; save it inside.
 
@@ -107,8 +112,8 @@ def styled(
         Axes.
     size : tuple of float
         Width and height, inches.
-    sharex, sharey : bool
-        Whether all axes have the same limits.
+    sharex, sharey : bool, or "row" or "col"
+        Which axes have the same limits.
     """
     with mpl.rc_context(_RC):
         figure = Figure(figsize=size, layout="constrained")
@@ -127,9 +132,12 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def legend(figure: Figure, looks: Mapping[str, Look], names: list[str]) -> None:
-    """Put one legend for all axes above them."""
-    handles = [Line2D([], [], color=looks[n].colour, linestyle=looks[n].line, label=looks[n].label) for n in names]
+def legend(figure: Figure, looks: Mapping[str, Look], names: list[str], *, markers: bool = False) -> None:
+    """Put one legend for all axes above them, with the markers of the series if these are drawn."""
+    handles = []
+    for look in (looks[name] for name in names):
+        marker = look.marker if markers else ""
+        handles.append(Line2D([], [], color=look.colour, linestyle=look.line, marker=marker, ms=5, label=look.label))
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=2.6)
 
 

@@ -7,8 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from epiprior.handover import load_hand_overs
-from epiprior_lab.evaluation import evaluate_pairs, model_files, study_pairs
+from epiprior_lab.evaluation import evaluate_pairs, study_pairs
 from epiprior_lab.ground_truth import LabelSettings
+from epiprior_lab.matching import model_files
 from epiprior_lab.parallel import default_workers
 from epiprior_lab.params import load_params
 
@@ -23,12 +24,11 @@ def main() -> None:
     evaluation = evaluate_pairs(
         study_pairs("test", family),
         family=family,
-        estimators=params.evaluate.estimators,
-        inputs=params.evaluate.inputs,
+        inputs=params.evaluate.inputs_by_estimator,
         seeds=params.evaluate.seeds,
         hand_overs=load_hand_overs(Path("models/hand_over.json")),
         labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
-        files=model_files(Path("models"), params.evaluate.inputs),
+        files=model_files(Path("models"), params.evaluate.all_inputs),
         workers=default_workers(),
         store=Path("data/.tasks/evaluate") / family,
     )

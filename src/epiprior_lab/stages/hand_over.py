@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from epiprior.handover import save_hand_overs
-from epiprior_lab.evaluation import model_files, study_pairs, write_rows
+from epiprior_lab.evaluation import study_pairs, write_rows
 from epiprior_lab.hand_over_search import chosen_hand_overs, search_hand_overs
+from epiprior_lab.matching import model_files
 from epiprior_lab.parallel import default_workers
 from epiprior_lab.params import load_params
 
@@ -17,10 +18,9 @@ def main() -> None:
     pairs = [pair for family in params.scenes.families for pair in study_pairs("validation", family)]
     best, trials = search_hand_overs(
         pairs,
-        estimators=params.evaluate.estimators,
-        inputs=params.evaluate.inputs,
+        inputs=params.evaluate.inputs_by_estimator,
         params=params.hand_over,
-        files=model_files(Path("models"), params.evaluate.inputs),
+        files=model_files(Path("models"), params.evaluate.all_inputs),
         workers=default_workers(),
         store=Path("data/.tasks/hand_over"),
     )

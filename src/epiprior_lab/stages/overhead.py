@@ -10,37 +10,42 @@ from rich.progress import track
 
 from epiprior.handover import load_hand_overs
 from epiprior_lab.evaluation import study_pairs
-from epiprior_lab.overhead import measure_pair, overhead_figure, overhead_table
+from epiprior_lab.overhead import estimator_table, measure_pair, overhead_table
 from epiprior_lab.params import load_params
+from epiprior_lab.reports.cascade_tables import cascade_seconds
 from epiprior_lab.reports.study import COLUMNS, read_table
 from epiprior_lab.reports.tables import write_table
+from epiprior_lab.reports.timing_figures import estimator_figure, overhead_figure
 
 OUT = Path("reports/timings")
-PAIRS_PER_FAMILY = 3
-SEEDS = (0, 1)
 
 
 def main() -> None:
-    """Write ``reports/timings/{pairs,overhead}.csv`` and ``overhead.png``."""
+    """Write ``reports/timings/{pairs,overhead,estimators,cascade}.csv`` and ``{overhead,estimators}.png``."""
     params = load_params()
-    estimators = params.evaluate.estimators
+    families, seeds = params.scenes.families, params.overhead.seeds
+    inputs = params.evaluate.inputs_by_estimator
     hand_overs = load_hand_overs(Path("models/hand_over.json"))
     pairs = [
-        (family, pair) for family in params.scenes.families for pair in study_pairs("test", family)[:PAIRS_PER_FAMILY]
+        (family, pair)
+        for family in families
+        for pair in study_pairs("test", family)[: params.overhead.pairs_per_family]
     ]
-    measure_pair(pairs[0][1], estimators, hand_overs, SEEDS[:1])  # compiles kernels, loads models
     rows = []
+    measure_pair(pairs[0][1], inputs, hand_overs, seeds[:1])  # compiles kernels, loads models
     for family, pair in track(pairs, description="overhead", console=Console(stderr=True)):
-        rows += [{"family": family, **row} for row in measure_pair(pair, estimators, hand_overs, SEEDS)]
+        rows += [{"family": family, **row} for row in measure_pair(pair, inputs, hand_overs, seeds)]
     timings = pd.DataFrame(rows)
-    results = pd.concat(
-        read_table(Path("data/evaluation") / family / "results.csv", COLUMNS["results"])
-        for family in params.scenes.families
-    )
-    table = overhead_table(timings, results, params.report.success_px)
+    tables = [read_table(Path("data/evaluation") / family / "results.csv", COLUMNS["results"]) for family in families]
+    overhead = overhead_table(timings, pd.concat(tables), params.report.success_px)
+    estimators = estimator_table(timings, params.report.success_px)
     write_table(timings, OUT / "pairs.csv")
-    write_table(table, OUT / "overhead.csv")
-    overhead_figure(table, OUT / "overhead.png")
+    write_table(overhead, OUT / "overhead.csv")
+    write_table(estimators, OUT / "estimators.csv")
+    cascade = read_table(Path("reports/cascade.csv"), "split family estimator preprocessed")
+    write_table(cascade_seconds(overhead, cascade), OUT / "cascade.csv")
+    overhead_figure(overhead, OUT / "overhead.png")
+    estimator_figure(estimators, OUT / "estimators.png")
 
 
 if __name__ == "__main__":

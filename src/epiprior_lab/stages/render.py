@@ -38,7 +38,7 @@ def main() -> None:
     split = parser.parse_args().split
     scenes = load_params().scenes
     names = {
-        family: [f"{family}-{split}-{number:04d}" for number in range(getattr(scenes.pairs, split))]
+        family: [f"{family}-{split}-{number:04d}" for number in range(getattr(scenes.pairs, split)[family])]
         for family in scenes.families
     }
     tasks = [

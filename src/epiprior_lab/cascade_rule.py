@@ -1,0 +1,232 @@
+"""When an estimate without preprocessing is good enough, learnt on validation scenes, one rule per estimator.
+
+Every run of the evaluation exists without and with the preprocessing step, for the same pair and seed. A cascade
+takes one or the other, so each rule's outcome follows from these runs; nothing is run again.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from epiprior.cascade import CascadeRule
+from epiprior.types import BoolArray, FloatArray
+from epiprior_lab.datasets import Pair
+from epiprior_lab.evaluation import HandOvers, Row, estimator_rows, match_folder
+from epiprior_lab.matching import WITHOUT, store_matches
+from epiprior_lab.parallel import Task, map_tasks
+from epiprior_lab.params import CascadeParams
+
+PREPROCESSED = "default"
+# Nothing has so many inliers: the rule of an estimator for which no other keeps within the tolerance.
+NEVER = CascadeRule(min_support=1_000_000, min_inlier_ratio=1.0)
+
+
+def validation_rows(
+    pairs: Sequence[Pair],
+    *,
+    inputs: Mapping[str, Sequence[str]],
+    seeds: Sequence[int],
+    hand_overs: HandOvers,
+    files: Sequence[Path] = (),
+    workers: int = 1,
+    store: Path | None = None,
+) -> list[Row]:
+    """Run every estimator without and with the preprocessing step.
+
+    Parameters
+    ----------
+    pairs : sequence of Pair
+        Validation pairs.
+    inputs : mapping of str to sequence of str
+        For each estimator its inputs, of which one is without preprocessing.
+    seeds, hand_overs, files, workers, store
+        As for `epiprior_lab.evaluation.evaluate_pairs`.
+
+    Returns
+    -------
+    list of dict
+        Rows as in ``results.csv`` of the evaluation, without the family.
+    """
+    used = tuple(dict.fromkeys(name for names in inputs.values() for name in names))
+    with match_folder(store) as folder:
+        matched = store_matches(
+            pairs, used, folder, files=files, workers=workers, description="match", resume=store is not None
+        )
+        tasks = [
+            Task(
+                name=f"{pair.pair_id} {estimator}",
+                payload={
+                    "pair": pair,
+                    "matches": matches.only(names),
+                    "estimator": estimator,
+                    "seeds": tuple(seeds),
+                    "hand_overs": {name: hand_overs[estimator][name] for name in names},
+                },
+                files=(*pair.files, *matches.paths.values()),
+            )
+            for pair, matches in zip(pairs, matched, strict=True)
+            for estimator, names in inputs.items()
+        ]
+        found = map_tasks(estimator_rows, tasks, workers=workers, description="estimate", store=store)
+    rows: list[Row] = []
+    for k, pair in enumerate(pairs):
+        of_pair = found[k * len(inputs) : (k + 1) * len(inputs)]
+        rows += [{"pair_id": pair.pair_id, "scene": pair.scene, **row} for part in of_pair for row in part]
+    return rows
+
+
+def paired_runs(results: pd.DataFrame) -> pd.DataFrame:
+    """Return runs without preprocessing beside the same runs with it.
+
+    Parameters
+    ----------
+    results : DataFrame
+        Rows of the evaluation with columns ``family, pair_id, scene, estimator, input, seed, status, support,
+        matches, error_px``. Inputs other than `matching.WITHOUT` and ``default`` are left out.
+
+    Returns
+    -------
+    DataFrame
+        One row per family, pair, estimator and seed: ``status``, ``support`` and ``matches`` without
+        preprocessing, and the errors ``without_px``, ``with_px``, infinite where there is no F.
+    """
+    keys = ["family", "pair_id", "scene", "estimator", "seed"]
+    errors = results["error_px"].where(results["status"] == "ok", np.inf).fillna(np.inf)
+    table = results.assign(error_px=errors)
+    without = table[table["input"].isin(WITHOUT)].rename(columns={"error_px": "without_px"})
+    with_step = table[table["input"] == PREPROCESSED].rename(columns={"error_px": "with_px"})
+    left = without[[*keys, "status", "support", "matches", "without_px"]]
+    return left.merge(with_step[[*keys, "with_px"]], on=keys, how="inner", validate="one_to_one")
+
+
+def kept_runs(runs: pd.DataFrame, rules: Sequence[CascadeRule]) -> BoolArray:
+    """Return which runs each rule keeps without preprocessing, shape (len(rules), len(runs))."""
+    columns = [runs[name].to_list() for name in ("status", "support", "matches")]
+    kept = [[rule.keeps_support(*run) for run in zip(*columns, strict=True)] for rule in rules]
+    return np.array(kept, dtype=np.bool_).reshape(len(rules), len(runs))
+
+
+def cascade_errors(runs: pd.DataFrame, kept: BoolArray) -> FloatArray:
+    """Return the errors of a cascade that keeps some of the runs, pixels, shape (N,).
+
+    Where preprocessing finds no F the cascade falls back on what it had, as the library does.
+    """
+    without, with_step = runs["without_px"].to_numpy(np.float64), runs["with_px"].to_numpy(np.float64)
+    return np.where(kept | np.isinf(with_step), without, with_step)
+
+
+def lost_runs(runs: pd.DataFrame, kept: BoolArray, threshold_px: float) -> BoolArray:
+    """Return the runs that would have succeeded, had they been preprocessed; shape of `kept`, (..., N)."""
+    without, with_step = runs["without_px"].to_numpy(np.float64), runs["with_px"].to_numpy(np.float64)
+    return np.asarray(kept & (with_step < threshold_px) & ~(without < threshold_px))
+
+
+def candidate_rules(params: CascadeParams) -> list[CascadeRule]:
+    """Return the rules that are tried, strictest first."""
+    grid = itertools.product(sorted(params.min_inlier_ratio, reverse=True), sorted(params.min_support, reverse=True))
+    return [NEVER, *(CascadeRule(min_support=support, min_inlier_ratio=ratio) for ratio, support in grid)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearntRule:
+    """A rule and what it does on the runs it was learnt from.
+
+    Parameters
+    ----------
+    rule : CascadeRule
+        The choice.
+    preprocessed : float
+        Share of the runs that it preprocesses.
+    lost : float
+        Share of the runs that succeed with preprocessing and that it loses.
+    held_out_preprocessed, held_out_lost : float
+        The same, each scene under the rule that the other scenes would have chosen.
+    """
+
+    rule: CascadeRule
+    preprocessed: float
+    lost: float
+    held_out_preprocessed: float
+    held_out_lost: float
+
+
+def learn_rule(runs: pd.DataFrame, params: CascadeParams, thresholds_px: Sequence[float]) -> LearntRule:
+    """Choose the rule that preprocesses least and loses no more than is tolerated.
+
+    Parameters
+    ----------
+    runs : DataFrame
+        Of one estimator, as from `paired_runs`, on validation scenes.
+    params : CascadeParams
+        Values that are tried, and the tolerance: share of all runs that may be lost, at each threshold. Runs that
+        the cascade wins do not make up for lost ones.
+    thresholds_px : sequence of float
+        Of success; the first is the one that is reported.
+
+    Returns
+    -------
+    LearntRule
+        Of equals the strictest. Few pairs decide, hence a margin: the rules with the next lower value of one of the
+        two must lose no more than is tolerated either.
+    """
+    rules = candidate_rules(params)
+    kept = kept_runs(runs, rules)
+    lost = np.stack([lost_runs(runs, kept, threshold) for threshold in thresholds_px])
+    best = _choose(kept, lost, params)
+    scenes = runs["scene"].to_numpy(str)
+    held_kept, held_lost = np.zeros(len(runs), np.bool_), np.zeros(len(runs), np.bool_)
+    for scene in np.unique(scenes):
+        own = scenes == scene
+        if own.all():
+            continue
+        other = _choose(kept[:, ~own], lost[:, :, ~own], params)
+        held_kept[own], held_lost[own] = kept[other, own], lost[0, other, own]
+    return LearntRule(
+        rule=rules[best],
+        preprocessed=1.0 - float(kept[best].mean()),
+        lost=float(lost[0, best].mean()),
+        held_out_preprocessed=1.0 - float(held_kept.mean()),
+        held_out_lost=float(held_lost.mean()),
+    )
+
+
+def _choose(kept: BoolArray, lost: BoolArray, params: CascadeParams) -> int:
+    """Return the number of the rule that keeps most of those with a margin; `kept` is (R, N), `lost` is (T, R, N)."""
+    within = (lost.mean(axis=2) <= params.tolerance).all(axis=0)
+    grid = within[1:].reshape(len(params.min_inlier_ratio), len(params.min_support))  # strictest first, after NEVER
+    safe = grid.copy()
+    safe[:-1] &= grid[1:]
+    safe[:, :-1] &= grid[:, 1:]
+    allowed = np.append(True, safe.ravel())
+    return int(np.argmax(np.where(allowed, kept.mean(axis=1), -1.0)))
+
+
+def trade_off(runs: pd.DataFrame, params: CascadeParams, threshold_px: float) -> pd.DataFrame:
+    """Return the candidate rules that are worth it on `runs`: none preprocesses less and loses as little.
+
+    Returns
+    -------
+    DataFrame
+        ``min_support, min_inlier_ratio, preprocessed, lost`` (shares of the runs), most preprocessed first.
+    """
+    rules = candidate_rules(params)
+    kept = kept_runs(runs, rules)
+    lost = lost_runs(runs, kept, threshold_px).mean(axis=1)
+    share = 1.0 - kept.mean(axis=1)
+    order = np.lexsort((share, lost))  # least lost first, of these least preprocessed first
+    least = np.minimum.accumulate(share[order])
+    front = order[np.flatnonzero(np.append(True, least[1:] < least[:-1]))]
+    return pd.DataFrame(
+        {
+            "min_support": [rules[k].min_support for k in front],
+            "min_inlier_ratio": [rules[k].min_inlier_ratio for k in front],
+            "preprocessed": share[front],
+            "lost": lost[front],
+        }
+    )

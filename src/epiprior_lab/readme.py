@@ -1,0 +1,115 @@
+"""The result tables of the README, made of the committed reports.
+
+A table stands between ``<!-- results:NAME -->`` and ``<!-- /results -->``; everything else is left alone.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from epiprior.errors import EpipriorError
+from epiprior_lab.params import load_params
+from epiprior_lab.real import INPUTS, summarise
+from epiprior_lab.reports.markdown import bounds_lines, duel_lines, markdown_table, successes_lines
+from epiprior_lab.reports.study import read_table
+
+_SECTION = re.compile(r"(<!-- results:(\S+) -->\n)(.*?)(<!-- /results -->)", re.DOTALL)
+_OPENING = re.compile(r"<!-- results:")
+_PERFORMANCE = "threshold_px family estimator pairs without snn default default_over_without"
+_DUEL = "threshold_px family input estimator difference difference_low difference_high verdict"
+_BOUNDS = "kind family threshold_px input estimator wanted found low high possible beaten others met"
+_REAL = "set pair_id scene points input seed status error_px precision_100"
+
+
+class ReadmeError(EpipriorError):
+    """The README has a marker without an end, or asks for a table that there is not."""
+
+
+def update_readme(root: Path) -> bool:
+    """Write the tables of the reports into ``README.md``.
+
+    Parameters
+    ----------
+    root : Path
+        Root of the repository.
+
+    Returns
+    -------
+    bool
+        Whether the file changed.
+
+    Raises
+    ------
+    ReadmeError
+        If a marker names no table or has no end.
+    ReportError
+        If a report is missing or lacks a column.
+    """
+    path = root / "README.md"
+    before = path.read_text(encoding="utf-8")
+    after = render_readme(before, root)
+    if after != before:
+        path.write_text(after, encoding="utf-8", newline="\n")
+    return after != before
+
+
+def render_readme(text: str, root: Path) -> str:
+    """Return a text with every table between markers made anew; see `update_readme`."""
+    if len(_OPENING.findall(text)) != len(_SECTION.findall(text)):
+        raise ReadmeError("README: a marker `<!-- results:NAME -->` has no `<!-- /results -->` behind it")
+
+    def table(match: re.Match[str]) -> str:
+        name = match[2]
+        if name not in TABLES:
+            raise ReadmeError(f"README: no table {name!r}, there are {', '.join(TABLES)}")
+        return match[1] + "\n".join(TABLES[name](root)) + "\n" + match[4]
+
+    return _SECTION.sub(table, text)
+
+
+def _successes(root: Path) -> list[str]:
+    table = read_table(root / "reports" / "performance.csv", _PERFORMANCE)
+    return successes_lines(table, load_params(root / "params.yaml").report.success_px)
+
+
+def _duel(root: Path) -> list[str]:
+    report = load_params(root / "params.yaml").report
+    table = read_table(root / "reports" / "duel.csv", _DUEL)
+    return duel_lines(table, report.success_px, report.bounds.hard_families)
+
+
+def _bounds(root: Path) -> list[str]:
+    champion = load_params(root / "params.yaml").report.bounds.champion
+    return bounds_lines(read_table(root / "reports" / "bounds.csv", _BOUNDS), champion)
+
+
+def _photographs(root: Path) -> list[str]:
+    """Return, per set of photographs and input: precision of the top 100 / successes below 10 px / below 3 px.
+
+    Errors of sets without control points mean something else; these sets stay out of the total.
+    """
+    rows = read_table(root / "reports" / "real.csv", _REAL)
+    lines = [_photograph_row(str(name), part) for name, part in rows.groupby("set", sort=True)]
+    lines.append(_photograph_row("**total**", rows[rows["points"] == "control_points"]))
+    return markdown_table(["set", "pairs", "X_L, the paper's baseline", "snn", "ours"], lines)
+
+
+def _photograph_row(title: str, part: pd.DataFrame) -> list[str]:
+    numbers = summarise(part).set_index("input").to_dict("index")
+    cells = [
+        f"{row['precision_100']:.2f} / {row['successes_10']:.1f} / {row['successes_3']:.1f}"
+        for row in (numbers[name] for name in INPUTS)
+    ]
+    return [title, str(numbers[INPUTS[0]]["pairs"]), *cells]
+
+
+TABLES: Mapping[str, Callable[[Path], list[str]]] = {
+    "successes": _successes,
+    "duel": _duel,
+    "bounds": _bounds,
+    "photographs": _photographs,
+}

@@ -1,0 +1,165 @@
+"""Tables of the cascade: what its rules lose against always preprocessing, and how often they preprocess."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from epiprior.types import BoolArray
+from epiprior_lab.cascade_rule import NEVER, PREPROCESSED, LearntRule, cascade_errors, kept_runs
+from epiprior_lab.reports.study import order_of
+from epiprior_lab.seeds import child_seed
+from epiprior_lab.statistics import paired_bootstrap
+
+ALL = "all"
+
+
+def cascade_table(
+    runs: Mapping[str, pd.DataFrame],
+    learnt: Mapping[str, LearntRule],
+    *,
+    thresholds_px: Sequence[float],
+    draws: int,
+    seed: int,
+) -> pd.DataFrame:
+    """Return what the cascade does with each estimator.
+
+    Parameters
+    ----------
+    runs : mapping of str to DataFrame
+        For each split the runs of all estimators, as from `cascade_rule.paired_runs`.
+    learnt : mapping of str to LearntRule
+        Per estimator.
+    thresholds_px : sequence of float
+        Of success, pixels.
+    draws, seed : int
+        Of the bootstrap, which draws whole scenes.
+
+    Returns
+    -------
+    DataFrame
+        One row per split, estimator, family (``all`` last) and threshold: the rule; ``pairs``; ``preprocessed``,
+        the share of runs that were; and in pairs, mean over seeds: successes ``without``, ``always`` and
+        ``cascade``; ``lost`` and ``won``, the successes that only always preprocessing has, and only the
+        cascade; ``change`` = cascade - always with the ends of its 95 % interval, ``_low`` and ``_high``.
+    """
+    rows = []
+    for split, table in runs.items():
+        for estimator, found in learnt.items():
+            for family in (*order_of(table["family"]), ALL):
+                part = table[table["estimator"] == estimator]
+                part = (part if family == ALL else part[part["family"] == family]).reset_index(drop=True)
+                (kept,) = kept_runs(part, [found.rule])
+                for threshold in thresholds_px:
+                    child = child_seed(seed, "cascade", split, estimator, family, str(threshold))
+                    rows.append(
+                        {
+                            "split": split,
+                            "estimator": estimator,
+                            "family": family,
+                            "threshold_px": threshold,
+                            "min_support": found.rule.min_support,
+                            "min_inlier_ratio": found.rule.min_inlier_ratio,
+                            **_cells(part, kept, threshold, draws, child),
+                        }
+                    )
+    return pd.DataFrame(rows)
+
+
+def _cells(runs: pd.DataFrame, kept: BoolArray, threshold_px: float, draws: int, seed: int) -> dict[str, float]:
+    errors = {
+        "without": runs["without_px"].to_numpy(np.float64),
+        "always": runs["with_px"].to_numpy(np.float64),
+        "cascade": cascade_errors(runs, kept),
+    }
+    marks = pd.DataFrame({name: values < threshold_px for name, values in errors.items()})
+    marks["lost"] = marks["always"] & ~marks["cascade"]
+    marks["won"] = marks["cascade"] & ~marks["always"]
+    shares = marks.groupby([runs["family"], runs["pair_id"], runs["scene"]], sort=True).mean()
+    scenes = [str(scene) for scene in shares.index.get_level_values("scene")]
+    change = paired_bootstrap(shares["always"], shares["cascade"], draws=draws, seed=seed, groups=scenes).difference
+    pairs = len(shares)
+    return {
+        "pairs": pairs,
+        "preprocessed": 1.0 - float(kept.mean()),
+        **{str(name): pairs * float(shares[name].mean()) for name in shares.columns},
+        "change": pairs * change.value,
+        "change_low": pairs * change.low,
+        "change_high": pairs * change.high,
+    }
+
+
+def cascade_seconds(overhead: pd.DataFrame, cascade: pd.DataFrame) -> pd.DataFrame:
+    """Return the time that the cascade takes, and what it saves against always preprocessing.
+
+    Parameters
+    ----------
+    overhead : DataFrame
+        As from `epiprior_lab.overhead.overhead_table`: seconds per pair without preprocessing and with it.
+    cascade : DataFrame
+        As from `cascade_table`.
+
+    Returns
+    -------
+    DataFrame
+        One row per family of test pairs and estimator: ``preprocessed`` (share of runs), ``seconds_without``,
+        ``seconds_always``, ``seconds_cascade`` (the first, and for that share also the second: an upper bound,
+        since features are found only once) and ``saved``, a share of the time of always preprocessing.
+    """
+    shares = cascade[cascade["split"] == "test"].drop_duplicates(["family", "estimator"])
+    times = overhead[overhead["preset"] == PREPROCESSED].rename(columns={"seconds_with": "seconds_always"})
+    table = times.merge(shares[["family", "estimator", "preprocessed"]], on=["family", "estimator"], how="inner")
+    seconds = table["seconds_without"] + table["preprocessed"] * table["seconds_always"]
+    table = table.assign(seconds_cascade=seconds, saved=1.0 - seconds / table["seconds_always"])
+    keys = ["family", "estimator", "preprocessed"]
+    return table[[*keys, "seconds_without", "seconds_always", "seconds_cascade", "saved"]]
+
+
+def cascade_markdown(table: pd.DataFrame, learnt: Mapping[str, LearntRule], tolerance: float) -> str:
+    """Return the table for a reader: the rules, then the test pairs."""
+    lines = [
+        "# The cascade: preprocessing only where it is needed",
+        "",
+        "The estimator runs on matches without preprocessing first. Its answer is kept if it has an F, and that F",
+        "at least so much support and such a share of inliers; otherwise the pair is preprocessed. The rule of each",
+        f"estimator is chosen on validation scenes: it preprocesses least and loses at most {100 * tolerance:g} % of",
+        "the runs (pair and seed) against always preprocessing. Held out: each scene under the rule that the other",
+        "scenes would have chosen.",
+        "",
+        "| estimator | least support | least share | preprocessed | lost | preprocessed, held out | lost, held out |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for name, found in learnt.items():
+        rule = found.rule
+        cells = ("-", "-") if rule == NEVER else (f"{rule.min_support}", f"{rule.min_inlier_ratio:g}")
+        shares = (found.preprocessed, found.lost, found.held_out_preprocessed, found.held_out_lost)
+        lines.append(f"| {' | '.join((name, *cells, *(f'{100 * share:.1f} %' for share in shares)))} |")
+    lines += [
+        "",
+        "Successes are numbers of pairs, mean over seeds. The change is of the cascade against always preprocessing,",
+        "with its 95 % bootstrap interval over scenes; it can be won as well, where only the first answer is right.",
+    ]
+    test = table[table["split"] == "test"]
+    for threshold, at in test.groupby("threshold_px", sort=False):
+        for family, part in at.groupby("family", sort=False):
+            title = "all families" if family == ALL else str(family)
+            lines += ["", f"## Test pairs below {threshold:g} px: {title} ({part['pairs'].max()} pairs)", ""]
+            lines += _markdown_rows(part)
+    return "\n".join(lines) + "\n"
+
+
+def _markdown_rows(part: pd.DataFrame) -> list[str]:
+    head = ("estimator", "without", "always", "cascade", "lost", "won", "change", "runs preprocessed")
+    lines = [f"| {' | '.join(head)} |", "|---" + "|---:" * (len(head) - 1) + "|"]
+    for row in part.to_dict("records"):
+        lines.append(f"| {' | '.join(_markdown_cells(row))} |")
+    return lines
+
+
+def _markdown_cells(row: dict[Any, Any]) -> list[str]:
+    counts = [f"{row[name]:.1f}" for name in ("without", "always", "cascade", "lost", "won")]
+    change = f"{row['change']:+.1f} [{row['change_low']:+.1f}, {row['change_high']:+.1f}]"
+    return [str(row["estimator"]), *counts, change, f"{100 * row['preprocessed']:.0f} %"]

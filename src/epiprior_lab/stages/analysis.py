@@ -1,0 +1,70 @@
+"""Stage `analysis`: what each part of the method contributes, what limits the results, and the paper's Table 1."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from epiprior.handover import load_hand_overs
+from epiprior_lab.analysis import PairAnalysis, analyse_pairs
+from epiprior_lab.analysis_bench import AnalysisSettings
+from epiprior_lab.evaluation import study_pairs
+from epiprior_lab.ground_truth import LabelSettings
+from epiprior_lab.matching import PRESETS, model_files
+from epiprior_lab.parallel import default_workers, single_threaded
+from epiprior_lab.params import load_params
+from epiprior_lab.reports.analysis_page import write_analysis
+from epiprior_lab.reports.analysis_tables import Analysis
+from epiprior_lab.reports.table1 import FamilyResults
+
+DATA = Path("data/analysis")
+OUT = Path("reports/analysis")
+
+
+def main() -> None:
+    """Write ``data/analysis/*.csv`` and everything in ``reports/analysis``."""
+    params = load_params()
+    bounds, own = params.report.bounds, params.analysis
+    truth = asdict(params.ground_truth)
+    settings = AnalysisSettings(
+        estimator=own.estimators[0],
+        others=own.estimators[1:],
+        beyond=bounds.champion,
+        seeds=params.evaluate.seeds,
+        two_keypoint_counts=own.two_keypoint_counts,
+        refined_hypotheses=own.refined_hypotheses,
+        success_px=params.report.success_px,
+    )
+    hand_overs = load_hand_overs(Path("models/hand_over.json"))
+    parts = [
+        analyse_pairs(
+            study_pairs("test", family)[: own.pairs_per_family],
+            family=family,
+            complete=family in bounds.hard_families,
+            settings=settings,
+            hand_overs=hand_overs,
+            labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
+            files=model_files(Path("models"), PRESETS),
+            workers=default_workers(),
+            store=Path("data/.tasks/analysis") / family,
+        )
+        for family in (*bounds.hard_families, *bounds.easy_families)
+    ]
+    PairAnalysis.join(parts).write(DATA)
+    families = params.scenes.families
+    with single_threaded():
+        write_analysis(
+            Analysis.read(DATA),
+            {family: FamilyResults.read(Path("data/evaluation") / family) for family in families},
+            {family: study_pairs("test", family) for family in families},
+            OUT,
+            thresholds_px=(params.report.success_px, params.report.strict_px),
+            quantiles=own.table_quantiles,
+            refined=own.refined_hypotheses,
+            draws=params.report.bootstrap_draws,
+            seed=params.report.seed,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""Stage `cascade`: when an estimate without preprocessing is kept, chosen on validation scenes, tried on test pairs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from epiprior.cascade import save_cascade_rules
+from epiprior.handover import load_hand_overs
+from epiprior_lab.cascade_rule import PREPROCESSED, learn_rule, paired_runs, validation_rows
+from epiprior_lab.evaluation import study_pairs
+from epiprior_lab.matching import WITHOUT, model_files
+from epiprior_lab.parallel import default_workers
+from epiprior_lab.params import Params, load_params
+from epiprior_lab.reports.cascade_figure import cascade_figure
+from epiprior_lab.reports.cascade_tables import cascade_markdown, cascade_table
+from epiprior_lab.reports.study import COLUMNS, read_table
+from epiprior_lab.reports.tables import write_table
+
+OUT = Path("reports")
+
+
+def validation_runs(params: Params) -> pd.DataFrame:
+    """Return the runs on validation scenes."""
+    hand_overs = load_hand_overs(Path("models/hand_over.json"))
+    inputs = {
+        estimator: tuple(name for name in names if name in (*WITHOUT, PREPROCESSED))
+        for estimator, names in params.evaluate.inputs_by_estimator.items()
+    }
+    rows = []
+    for family in params.scenes.families:
+        found = validation_rows(
+            study_pairs("validation", family),
+            inputs=inputs,
+            seeds=params.cascade.seeds,
+            hand_overs=hand_overs,
+            files=model_files(Path("models"), (PREPROCESSED,)),
+            workers=default_workers(),
+            store=Path("data/.tasks/cascade") / family,
+        )
+        rows += [{"family": family, **row} for row in found]
+    return paired_runs(pd.DataFrame(rows))
+
+
+def evaluated_runs(params: Params) -> pd.DataFrame:
+    """Return the runs of the evaluation on test pairs."""
+    tables = (
+        read_table(Path("data/evaluation") / family / "results.csv", f"{COLUMNS['results']} matches")
+        for family in params.scenes.families
+    )
+    return paired_runs(pd.concat(tables, ignore_index=True))
+
+
+def main() -> None:
+    """Write ``models/cascade.json`` and ``reports/cascade.{csv,md,png}``."""
+    params = load_params()
+    thresholds = (params.report.success_px, params.report.strict_px)
+    validation = validation_runs(params)
+    learnt = {
+        estimator: learn_rule(validation[validation["estimator"] == estimator], params.cascade, thresholds)
+        for estimator in params.evaluate.estimators
+    }
+    save_cascade_rules(Path("models/cascade.json"), {name: found.rule for name, found in learnt.items()})
+    runs = {"validation": validation, "test": evaluated_runs(params)}
+    table = cascade_table(
+        runs, learnt, thresholds_px=thresholds, draws=params.report.bootstrap_draws, seed=params.report.seed
+    )
+    write_table(table, OUT / "cascade.csv")
+    text = cascade_markdown(table, learnt, params.cascade.tolerance)
+    (OUT / "cascade.md").write_text(text, encoding="utf-8", newline="\n")
+    cascade_figure(runs, learnt, params.cascade, params.report.success_px, OUT / "cascade.png")
+
+
+if __name__ == "__main__":
+    main()

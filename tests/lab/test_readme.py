@@ -1,0 +1,128 @@
+"""The tables of the README: made of the reports, and those that are committed."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from epiprior_lab import readme
+from epiprior_lab.cli import app
+from epiprior_lab.reports.study import ReportError
+
+ROOT = Path(__file__).parents[2]
+FOUND = "+20 % [-10 %, +50 %]; +120 % if it solved every pair"
+
+
+@pytest.fixture
+def root(tmp_path):
+    """A repository with small reports and the study's own parameters."""
+    (tmp_path / "reports").mkdir()
+    (tmp_path / "params.yaml").write_bytes((ROOT / "params.yaml").read_bytes())
+    names = ("usac", "epiprior")
+    performance = [
+        {"threshold_px": threshold, "family": family, "estimator": name, "pairs": 20}
+        | {"without": 9.2, "snn": 10.0 + k, "default": 11.0, "default_over_without": 0.2}
+        | {"default_over_without_low": -0.1, "default_over_without_high": 0.5}
+        for threshold in (10.0, 3.0)
+        for family in ("facades-hard", "open", "all")
+        for k, name in enumerate(names)
+    ]
+    duels = [
+        {"threshold_px": 10.0, "family": family, "input": name, "estimator": "usac"}
+        | {"difference": 2.5, "difference_low": low, "difference_high": 4.0, "verdict": "better" if low > 0 else "open"}
+        for family in ("facades-hard", "open")
+        for name, low in (("default", 1.0), ("snn", -0.5))
+    ]
+    bounds = [
+        {"kind": "contribution", "family": "open", "threshold_px": 10.0, "input": "default", "estimator": "usac"}
+        | {"wanted": 0.6, "found": 0.2, "low": -0.1, "high": 0.5, "possible": 1.2}
+        | {"beaten": np.nan, "others": np.nan, "met": False}
+    ]
+    real = [
+        {"set": s, "pair_id": f"p{p}", "scene": "s", "points": points, "input": name, "seed": 0, "status": "ok"}
+        | {"error_px": error, "precision_100": 0.5}
+        for s, points in (("fox", "control_points"), ("rooms", "cameras"))
+        for name, error in (("standard", 20.0), ("snn", 5.0), ("default", 1.0))
+        for p in range(3)
+    ]
+    for name, rows in (("performance", performance), ("duel", duels), ("bounds", bounds), ("real", real)):
+        pd.DataFrame(rows).to_csv(tmp_path / "reports" / f"{name}.csv", index=False)
+    return tmp_path
+
+
+def text_with(name):
+    return f"before\n<!-- results:{name} -->\nold\n<!-- /results -->\nafter\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        (
+            "successes",
+            [
+                "| estimator | facades-hard (20) | open (20) | all families (20) | ours over without |",
+                "|---|---:|---:|---:|---:|",
+                "| usac" + " | 9.2 / 10.0 / **11.0**" * 3 + " | +20 % [-10 %, +50 %] |",
+                "| epiprior" + " | 9.2 / **11.0** / **11.0**" * 3 + " | +20 % [-10 %, +50 %] |",
+            ],
+        ),
+        (
+            "duel",
+            [
+                "| against | facades-hard, ours | facades-hard, snn | open, ours | open, snn |",
+                "|---|---:|---:|---:|---:|",
+                "| usac" + " | **+2.5 [+1.0, +4.0]** | +2.5 [-0.5, +4.0]" * 2 + " |",
+            ],
+        ),
+        (
+            "bounds",
+            [
+                "| bound | found | met |",
+                "|---|---|---|",
+                "| usac gains at least +60 % on open, 10 px | " + FOUND + " | no |",
+            ],
+        ),
+        (
+            "photographs",
+            [
+                "| set | pairs | X_L, the paper's baseline | snn | ours |",
+                "|---|---:|---:|---:|---:|",
+                "| fox | 3 | 0.50 / 0.0 / 0.0 | 0.50 / 3.0 / 0.0 | 0.50 / 3.0 / 3.0 |",
+                "| rooms | 3 | 0.50 / 0.0 / 0.0 | 0.50 / 3.0 / 0.0 | 0.50 / 3.0 / 3.0 |",
+                "| **total** | 3 | 0.50 / 0.0 / 0.0 | 0.50 / 3.0 / 0.0 | 0.50 / 3.0 / 3.0 |",
+            ],
+        ),
+    ],
+)
+def test_tables(name, lines, root):
+    got = readme.render_readme(text_with(name), root)
+    assert got == text_with(name).replace("old", "\n".join(lines))
+    assert readme.render_readme(got, root) == got
+
+
+def test_the_command_writes_what_changed(root):
+    (root / "README.md").write_text(text_with("duel") + text_with("bounds"))
+    runner = CliRunner()
+    assert "tables written" in runner.invoke(app, ["readme", "--root", str(root)]).output
+    text = (root / "README.md").read_text()
+    assert "old" not in text
+    assert text.count("after\n") == 2
+    assert "are those of the reports" in runner.invoke(app, ["readme", "--root", str(root)]).output
+
+
+def test_bad_markers_are_named(root):
+    with pytest.raises(readme.ReadmeError, match="'sucesses', there are successes, duel"):
+        readme.render_readme(text_with("sucesses"), root)
+    with pytest.raises(readme.ReadmeError, match="has no"):
+        readme.render_readme("<!-- results:duel -->\nold\n", root)
+    (root / "reports" / "duel.csv").unlink()
+    with pytest.raises(ReportError, match=r"duel\.csv"):
+        readme.render_readme(text_with("duel"), root)
+
+
+def test_the_tables_of_the_readme_are_those_of_the_committed_reports():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert {match[2] for match in readme._SECTION.finditer(text)} == readme.TABLES.keys()
+    assert readme.render_readme(text, ROOT) == text, "run `epiprior-lab readme`"
