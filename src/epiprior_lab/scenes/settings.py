@@ -72,8 +72,8 @@ FAMILIES: Mapping[str, FamilySettings] = MappingProxyType(
             scale_ratio=(1.0, 1.25), roll_deg=(0, 3), relief=0.3, passing=(0, 1), relit=0.0,
         ),
         "facades-hard": FamilySettings(
-            facades=1.0, distinct=(0.0, 0.2), variety=(0.1, 0.4), angle_deg=(48, 70), overlap=(0.15, 0.45),
-            scale_ratio=(1.1, 2.6), roll_deg=(0, 5), relief=0.15, passing=(2, 6), relit=0.7,
+            facades=1.0, distinct=(0.0, 0.2), variety=(0.1, 0.4), angle_deg=(46, 68), overlap=(0.16, 0.48),
+            scale_ratio=(1.0, 2.4), roll_deg=(0, 5), relief=0.15, passing=(2, 5), relit=0.6,
         ),
         "open": FamilySettings(
             facades=0.0, distinct=(0.1, 0.5), variety=(0.3, 1.0), angle_deg=(38, 65), overlap=(0.12, 0.4),
