@@ -1,9 +1,10 @@
 # Needs make and Python 3.11 or newer; everything else comes from requirements.lock into .venv.
-# Variables: PYTHON (interpreter that makes .venv), EPIPRIOR_WORKERS (processes; default: all cores), PORT (of `make ui`).
+# Variables: PYTHON (interpreter that makes .venv), EPIPRIOR_WORKERS (processes; default: all cores), PORT (of `make ui`),
+# DATA (folder of pair sets for `make real`), EPIPRIOR_SCHEDULER (dask scheduler that gets the work).
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help repro test lint format ui check-lock lock wheel clean
+.PHONY: help repro real peers test lint format ui check-lock lock wheel clean
 
 find-python = for python in python3.11 python3.12 python3.13 python3 python; do \
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && echo "$$python" && break; done
@@ -14,6 +15,7 @@ PORT ?= 5000
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/package.stamp
+PEERS := $(VENV)/peers/requirements.stamp
 
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 export DVC_NO_ANALYTICS := 1
@@ -34,6 +36,15 @@ repro: $(READY)  ## make the whole study: scenes, models, evaluation, reports
 	@for file in reports/figures/*; do [ ! -f "$$file" ] || echo "Figure   $$file"; done
 	@echo "Models   models/paper, models/default"
 	@echo "MLflow   make ui, then http://127.0.0.1:$(PORT)"
+
+real: $(READY) $(PEERS)  ## evaluate photographs: make real DATA=FOLDER links its pair sets into data/real (docs/photographs.md)
+	@$(BIN)/epiprior-lab link-sets $(DATA)
+	cd benchmarks/real && $(CURDIR)/$(BIN)/dvc repro --single-item
+	@echo
+	@echo "Report   reports/real/index.html, reports/real/performance.md, reports/real/tables"
+	@echo "Gallery  data/photographs-gallery/index.html (shows the photographs: not to be passed on)"
+
+peers: $(PEERS)  ## make the environment of AdaLAM and GMS, against which photographs are measured
 
 test: $(READY)  ## run all tests
 	$(BIN)/python -m pytest
@@ -77,6 +88,14 @@ $(VENV)/lock.stamp: requirements.lock
 	@echo "Making $(VENV) from requirements.lock with $(PYTHON): a few minutes"
 	@"$(PYTHON)" -m venv --clear $(VENV)
 	@$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.lock
+	@touch $@
+
+# Rankers of others have an environment of their own: torch and another OpenCV are no dependencies of epiprior.
+$(PEERS): $(VENV)/lock.stamp benchmarks/real/peers/requirements.txt
+	@echo "Making $(VENV)/peers, with torch: a few minutes"
+	@"$(PYTHON)" -m venv --clear $(VENV)/peers
+	@$(VENV)/peers/bin/python -m pip install --quiet --no-compile -r benchmarks/real/peers/requirements.txt || { \
+		echo "without it: set 'peers: null' in benchmarks/real/params.yaml and run 'make real PEERS='" >&2; exit 1; }
 	@touch $@
 
 $(READY): $(VENV)/lock.stamp pyproject.toml
