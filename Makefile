@@ -37,8 +37,9 @@ repro: $(READY)  ## make the whole study: scenes, models, evaluation, reports
 	@echo "Models   models/paper, models/default"
 	@echo "MLflow   make ui, then http://127.0.0.1:$(PORT)"
 
-real: $(READY) $(PEERS)  ## evaluate photographs: make real DATA=FOLDER links its pair sets into data/real (docs/photographs.md)
+real: $(READY)  ## evaluate photographs: make real DATA=FOLDER links its pair sets into data/real (docs/photographs.md)
 	@$(BIN)/epiprior-lab link-sets $(DATA)
+	@[ -z "$(PEERS)" ] || $(MAKE) --no-print-directory $(PEERS)
 	cd benchmarks/real && $(CURDIR)/$(BIN)/dvc repro --single-item
 	@echo
 	@echo "Report   reports/real/index.html, reports/real/performance.md, reports/real/tables"

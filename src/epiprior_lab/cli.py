@@ -36,6 +36,19 @@ def real(
     run_real(datasets, sets=sets, seeds=seeds, out=out, scheduler=scheduler)
 
 
+@app.command("link-sets")
+def link_sets(
+    source: Annotated[Path | None, typer.Argument(help="Folder of pair sets; none: check what is linked.")] = None,
+    params: Annotated[Path, typer.Option(help="Parameters that name the sets.")] = Path("benchmarks/real/params.yaml"),
+) -> None:
+    """Link the pair sets of the benchmark on photographs into data/real."""
+    from epiprior_lab.photographs.params import load_real_params
+    from epiprior_lab.photographs.sets import link_sets
+
+    for path in link_sets(load_real_params(params).sets, source):
+        typer.echo(f"{path} -> {path.resolve()}" if path.is_symlink() else str(path))
+
+
 @app.command()
 def promote(
     preset: Annotated[str, typer.Argument(help="Preset whose classifiers become champions: paper or default.")],

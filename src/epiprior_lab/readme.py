@@ -13,6 +13,8 @@ import pandas as pd
 
 from epiprior.errors import EpipriorError
 from epiprior_lab.params import load_params
+from epiprior_lab.photographs.params import PARAMS, RealParams, load_real_params
+from epiprior_lab.photographs.wording import set_lines, split_lines
 from epiprior_lab.real import INPUTS, summarise
 from epiprior_lab.reports.markdown import bounds_lines, duel_lines, markdown_table, successes_lines
 from epiprior_lab.reports.study import read_table
@@ -22,6 +24,7 @@ _OPENING = re.compile(r"<!-- results:")
 _PERFORMANCE = "threshold_px family estimator pairs without snn default default_over_without"
 _DUEL = "threshold_px family input estimator difference difference_low difference_high verdict"
 _BOUNDS = "kind family threshold_px input estimator wanted found low high possible beaten others met"
+_REAL_SUCCESSES = "threshold_px group estimator input pairs successes gain gain_low gain_high"
 _REAL = "set pair_id scene points input seed status error_px precision_100"
 
 
@@ -88,14 +91,34 @@ def _bounds(root: Path) -> list[str]:
 
 
 def _photographs(root: Path) -> list[str]:
-    """Return, per set of photographs and input: precision of the top 100 / successes below 10 px / below 3 px.
+    """Return the tables of the second pipeline, or where it was not run, of `epiprior-lab real`.
 
-    Errors of sets without control points mean something else; these sets stay out of the total.
+    Per split and estimator, successes below 10 px; then per set and input, precision of the top 100 / successes below
+    10 px / below 3 px. Errors of sets without control points mean something else; these sets stay out of the total.
     """
+    tables = root / "reports" / "real" / "tables"
+    if tables.is_dir():
+        return _second_pipeline(tables, load_real_params(root / PARAMS))
     rows = read_table(root / "reports" / "real.csv", _REAL)
     lines = [_photograph_row(str(name), part) for name, part in rows.groupby("set", sort=True)]
     lines.append(_photograph_row("**total**", rows[rows["points"] == "control_points"]))
     return markdown_table(["set", "pairs", "X_L, the paper's baseline", "snn", "ours"], lines)
+
+
+def _second_pipeline(tables: Path, params: RealParams) -> list[str]:
+    successes = read_table(tables / "successes.csv", _REAL_SUCCESSES)
+    rankings = read_table(tables / "rankings.csv", "group ranking precision_100")
+    sets = read_table(tables / "sets.csv", "set title state pairs").fillna({"state": ""})
+    report = params.report
+    strict = 3.0 if 3.0 in report.thresholds_px else min(report.thresholds_px)
+    shown = report.gallery.estimator
+    return [
+        *split_lines(successes, report.success_px),
+        "",
+        f"{shown}, per set: precision of the top 100 / successes below {report.success_px:g} px / below {strict:g} px.",
+        "",
+        *set_lines(sets, successes, rankings, shown, (report.success_px, strict)),
+    ]
 
 
 def _photograph_row(title: str, part: pd.DataFrame) -> list[str]:

@@ -19,12 +19,13 @@ from rich.table import Table
 from epiprior.errors import SettingsError
 from epiprior.handover import HandOver, find_hand_overs, hand_over, load_hand_overs
 from epiprior.models import find_model
-from epiprior.types import FloatArray, MatchSet
+from epiprior.types import MatchSet
 from epiprior_lab.datasets import DatasetError, Pair, read_pair_set
 from epiprior_lab.evaluation import estimate_row, write_rows
 from epiprior_lab.ground_truth import label_matches, reference_fundamental
 from epiprior_lab.matching import PairMatches, match_pair
 from epiprior_lab.parallel import Task, default_workers, map_tasks
+from epiprior_lab.photographs.points import evaluation_points
 from epiprior_lab.seeds import child_seed
 from epiprior_lab.statistics import precision_at, successes
 
@@ -36,7 +37,6 @@ TITLES = {"standard": "X_L", "snn": "snn", "default": "ours"}
 ESTIMATOR = "magsac++"
 TOP = 100
 THRESHOLDS_PX = (10.0, 3.0)
-_GRID = 10
 
 
 def run_real(
@@ -220,62 +220,6 @@ def best_set(matches: PairMatches, name: str, how: HandOver) -> MatchSet:
     sets = [matches.one_to_one() for matches in matches.sets[name]]
     cut = [s if how.max_distance_ratio is None else s.take(s.distance_ratio <= how.max_distance_ratio) for s in sets]
     return max(cut, key=lambda s: float(np.nansum(s.probability[:TOP])))
-
-
-def evaluation_points(pair: Pair) -> tuple[FloatArray, FloatArray]:
-    """Return the control points of a pair, or where it has none, points that its cameras or its F allow.
-
-    Notes
-    -----
-    Without control points nobody knows what the two images share. A regular grid of points of image 1 is
-    then paired with points on their true epipolar lines, spread over the part of each line that image 2
-    shows.
-
-    Raises
-    ------
-    DatasetError
-        If the pair has no control points, cameras or F, or no epipolar line meets image 2.
-    """
-    if pair.control_points_path is not None:
-        return pair.control_points()
-    if pair.fundamental_path is None and (pair.camera1 is None or pair.camera2 is None):
-        raise DatasetError(f"pair {pair.pair_id!r}: neither control points nor cameras")
-    F = reference_fundamental(pair)
-    size1, size2 = pair.sizes()
-    x1 = _grid(size1)
-    lines = np.column_stack([x1, np.ones(len(x1))]) @ F.T
-    found = [_on_line(line, size2, k) for k, line in enumerate(lines)]
-    keep = np.array([x is not None for x in found])
-    if not keep.any():
-        raise DatasetError(f"pair {pair.pair_id!r}: no epipolar line of image 1 meets image 2")
-    return x1[keep], np.array([x for x in found if x is not None])
-
-
-def _grid(size: tuple[int, int]) -> FloatArray:
-    steps = (np.arange(_GRID) + 0.5) / _GRID
-    x, y = np.meshgrid(steps * size[0], steps * size[1])
-    return np.column_stack([x.ravel(), y.ravel()])
-
-
-def _on_line(line: FloatArray, size: tuple[int, int], number: int) -> FloatArray | None:
-    """Return a point of the line ``a x + b y + c = 0`` inside the image, or None if they do not meet."""
-    normal = line[:2]
-    if not np.linalg.norm(normal) > 0:
-        return None
-    foot = -line[2] * normal / (normal @ normal)
-    along = np.array([-normal[1], normal[0]]) / np.linalg.norm(normal)
-    low, high = -np.inf, np.inf
-    for start, step, end in zip(foot, along, (size[0] - 1.0, size[1] - 1.0), strict=True):
-        if step == 0:
-            if not 0 <= start <= end:
-                return None
-            continue
-        ends = sorted((-start / step, (end - start) / step))
-        low, high = max(low, ends[0]), min(high, ends[1])
-    if not low < high:
-        return None
-    share = (number * 0.6180339887498949) % 1.0  # the golden ratio spreads the points over the lines
-    return np.asarray(foot + (low + share * (high - low)) * along)
 
 
 def summarise(rows: pd.DataFrame) -> pd.DataFrame:

@@ -31,6 +31,8 @@ ALIAS = "champion"
 _LOG = logging.getLogger(__name__)
 _EXAMPLE_ROWS = 5
 _CURVE_POINTS = 500
+# Without it MLflow's page takes the runs for those of a language model, and opens on empty charts of traces.
+_SHOWN_AS_TRAINING = ("mlflow.experimentKind", "custom_model_development")
 
 
 class TrackingError(EpipriorError, RuntimeError):
@@ -171,6 +173,10 @@ def _newest_exported(client: Any, target: str, preset: str) -> Any:
     return runs[0]
 
 
+# Without it MLflow's page takes the runs for those of a language model, and opens on empty charts of traces.
+_SHOWN_AS_TRAINING = ("mlflow.experimentKind", "custom_model_development")
+
+
 def _experiment_name(target: str) -> str:
     return f"epiprior/{target}"
 
@@ -202,6 +208,7 @@ def _log_family(client: Any, root: Path, family: TrackedFamily) -> None:
     found = client.get_experiment_by_name(name)
     location = (root / "mlartifacts" / family.target).resolve().as_uri()
     experiment = found.experiment_id if found else client.create_experiment(name, artifact_location=location)
+    client.set_experiment_tag(experiment, *_SHOWN_AS_TRAINING)
     tags = {
         "preset": family.preset,
         "target": family.target,

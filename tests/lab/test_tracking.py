@@ -59,6 +59,12 @@ def test_everything_lies_at_the_root(store):
     assert sorted(path.name for path in store.iterdir()) == ["mlartifacts", "mlflow.db"]
 
 
+def test_the_page_opens_on_training_runs(store):
+    with tracking._mlflow(store) as client:
+        tags = client.get_experiment_by_name("epiprior/match").tags
+    assert tags["mlflow.experimentKind"] == "custom_model_development"
+
+
 @pytest.mark.parametrize("target", ["two_keypoint", "match"])
 def test_a_run_per_family_with_a_nested_run_per_fold(store, target):
     parents = {run.info.run_id: run for run in runs_of(store, target) if "preset" in run.data.tags}

@@ -1,0 +1,1 @@
+"""The second pipeline: exported models, untouched, on photographs with ground truth (``benchmarks/real``)."""

@@ -1,0 +1,165 @@
+"""The committed page, and the gallery that stays here because it shows photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pandas as pd
+
+import epiprior
+from epiprior_lab.photographs.gallery import Case
+from epiprior_lab.photographs.params import RealReportParams
+from epiprior_lab.photographs.results import ALL
+from epiprior_lab.photographs.tables import Tables
+from epiprior_lab.photographs.truth import SPLITS
+from epiprior_lab.photographs.wording import (
+    RANKING_HEAD,
+    SET_HEAD,
+    bound_rows,
+    group_title,
+    input_name,
+    number,
+    ranking_rows,
+    set_rows,
+    share,
+    success_head,
+    success_rows,
+)
+from epiprior_lab.reports.study import order_of
+
+Block = dict[str, Any]
+
+
+def write_page(
+    tables: Tables, figures: Mapping[str, Path], cases: Sequence[Case], path: Path, *, params: RealReportParams
+) -> Path:
+    """Write the page that is committed; its gallery shows lines and points on blank frames.
+
+    Parameters
+    ----------
+    tables : Tables
+        Numbers.
+    figures : mapping of str to Path
+        As from `figures.draw_figures`, in the page's folder or below.
+    cases : sequence of Case
+        Of the gallery, pictures in ``gallery/``.
+    path : Path
+        HTML file.
+    params : RealReportParams
+        Thresholds.
+    """
+    page = (
+        _environment()
+        .get_template("page.html.j2")
+        .render(
+            version=epiprior.__version__,
+            images={name: file.relative_to(path.parent).as_posix() for name, file in figures.items()},
+            bounds=bound_rows(tables.bounds),
+            sets={"head": SET_HEAD, "rows": set_rows(tables.sets)},
+            successes=[_success_block(tables.successes, threshold) for threshold in params.thresholds_px],
+            rankings={"head": RANKING_HEAD, "rows": ranking_rows(tables.rankings)},
+            geometry=_geometry_block(tables.geometry, params),
+            calibration=_calibration_block(tables.calibration),
+            cascade=_cascade_block(tables.cascade, params.success_px),
+            estimators=tables.estimators.to_dict("records"),
+            cases=[_case(case, "gallery", "png") for case in cases],
+            params=params,
+        )
+    )
+    path.write_text(page, encoding="utf-8", newline="\n")
+    return path
+
+
+def write_gallery(cases: Sequence[Case], path: Path, *, estimator: str) -> Path:
+    """Write the gallery on photographs, beside its pictures; it may not be passed on."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    page = _environment().get_template("gallery.html.j2")
+    text = page.render(cases=[_case(case, ".", "jpg") for case in cases], estimator=estimator)
+    path.write_text(text, encoding="utf-8", newline="\n")
+    return path
+
+
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("epiprior_lab.photographs", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+
+def _success_block(successes: pd.DataFrame, threshold_px: float) -> Block:
+    at = successes[successes["threshold_px"] == threshold_px]
+    groups = []
+    for group, part in at.groupby("group", sort=False):
+        groups.append({"title": group_title(str(group), int(part["pairs"].iloc[0])), "rows": success_rows(part)})
+    return {"threshold": threshold_px, "head": success_head(at), "groups": groups}
+
+
+def _geometry_block(geometry: pd.DataFrame, params: RealReportParams) -> Block:
+    """Return splits and all; the sets are in the table beside the page."""
+    at = geometry[geometry["group"].isin((*SPLITS, ALL))]
+    areas = [f"auc_{limit:g}" for limit in params.pose_deg]
+    groups = []
+    for group, part in at.groupby("group", sort=False):
+        rows = []
+        for row in part.to_dict("records"):
+            cells = [share(row.get(name, float("nan"))) for area in areas for name in (area, f"scene_{area}")]
+            cells += [
+                share(row.get("distance_recall", float("nan"))),
+                number(row.get("median_distance", float("nan")), 4),
+            ]
+            rows.append([str(row["estimator"]), input_name(str(row["input"])), *cells])
+        first = part.iloc[0]
+        title = f"{group} pairs ({first['cameras']} with cameras, {first['true_F']} with a true F)"
+        groups.append({"title": title, "rows": rows})
+    head = ["estimator", "input"]
+    for limit in params.pose_deg:
+        head += [f"pose, AUC {limit:g}°", "per scene"]
+    return {"head": [*head, f"distance < {params.distance_recall:g}", "median distance"], "groups": groups}
+
+
+def _calibration_block(calibration: pd.DataFrame) -> Block:
+    rows = [
+        [str(row["group"]), str(row["matches"]), str(row["right"]), number(row["brier_score"], 4)]
+        + [number(row["expected_calibration_error"], 4)]
+        for row in calibration.to_dict("records")
+    ]
+    return {"head": ("group", "ranked matches", "right", "Brier score", "calibration error"), "rows": rows}
+
+
+def _cascade_block(cascade: pd.DataFrame, threshold_px: float) -> Block:
+    at = cascade[cascade["threshold_px"] == threshold_px]
+    groups = []
+    for group in order_of(at["group"]):
+        part = at[at["group"] == group]
+        rows = [
+            [str(row["estimator"]), *(f"{row[name]:.1f}" for name in ("without", "always", "cascade", "lost", "won"))]
+            + [f"{row['change']:+.1f} [{row['change_low']:+.1f}, {row['change_high']:+.1f}]"]
+            + [share(1 - row["preprocessed"])]
+            for row in part.to_dict("records")
+        ]
+        groups.append({"title": group_title(group, int(part["pairs"].iloc[0])), "rows": rows})
+    head = ("estimator", "without", "always", "cascade", "lost", "won", "cascade over always", "runs skipped")
+    return {"threshold": threshold_px, "head": head, "groups": groups}
+
+
+def _case(case: Case, folder: str, suffix: str) -> Block:
+    names = [input_name(name) for name in case.inputs]
+    right = "unknown" if case.split == "unlabelled" else share(case.right_share)
+    pictures = [
+        {
+            "src": f"{folder}/{case.name}-{name}.{suffix}",
+            "alt": f"{case.pair_id}, {title}: best matches and epipolar lines",
+            "title": f"{title}: {share(succeeded)} of the runs succeed",
+        }
+        for name, title, succeeded in zip(case.inputs, names, case.succeeded, strict=True)
+    ]
+    return {"kind": case.kind, "set": case.set_name, "pair": case.pair_id, "split": case.split, "right": right} | {
+        "pictures": pictures
+    }

@@ -1,0 +1,49 @@
+"""Where the photographs are: links to pair sets that lie elsewhere, and what is missing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from epiprior.errors import SettingsError
+
+FOLDER = Path("data/real")
+
+
+def link_sets(names: Sequence[str], source: Path | None, folder: Path = FOLDER) -> list[Path]:
+    """Link pair sets into a folder, one link per set, so that imported sets may lie beside them.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Sets that are wanted.
+    source : Path, optional
+        Folder of pair sets; None only checks that all are there.
+    folder : Path
+        Where links go; made if absent. A set that lies there itself stays as it is; a link is set anew.
+
+    Returns
+    -------
+    list of Path
+        Of the sets, in the order of `names`.
+
+    Raises
+    ------
+    SettingsError
+        If a set is missing after all; the message says what to do.
+    """
+    for name in names:
+        at = folder / name
+        if source is None or not (source / name / "pairs.csv").is_file() or (at.exists() and not at.is_symlink()):
+            continue
+        folder.mkdir(parents=True, exist_ok=True)
+        at.unlink(missing_ok=True)
+        at.symlink_to(os.path.relpath((source / name).resolve(), folder.resolve()), target_is_directory=True)
+    missing = [name for name in names if not (folder / name / "pairs.csv").is_file()]
+    if missing:
+        raise SettingsError(
+            f"no pair set {', '.join(missing)} in {source or folder}: run `make real DATA=FOLDER` with a folder of "
+            "pair sets (docs/photographs.md)"
+        )
+    return [folder / name for name in names]

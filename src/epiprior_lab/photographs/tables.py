@@ -1,0 +1,250 @@
+"""Tables of the report on photographs: sets, successes, poses and distances, rankings, calibration, every pair."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from epiprior.types import BoolArray, FloatArray
+from epiprior_lab.datasets import known_sets
+from epiprior_lab.photographs.results import (
+    Photographs,
+    distance_runs,
+    error_runs,
+    pose_runs,
+    scene_mean,
+)
+from epiprior_lab.photographs.truth import SPLITS, UNLABELLED
+from epiprior_lab.reports.performance import interval_cells
+from epiprior_lab.reports.study import order_of
+from epiprior_lab.reports.tables import calibration_sums
+from epiprior_lab.seeds import child_seed
+from epiprior_lab.statistics import bootstrap_mean, paired_bootstrap, success_curve
+
+LOWE = "standard"
+RANKING_MEASURES = ("matches", "right", "precision_10", "precision_100", "precision_500", "average_precision")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tables:
+    """The tables of the report; each field becomes one CSV file of the field's name."""
+
+    sets: pd.DataFrame
+    bounds: pd.DataFrame
+    successes: pd.DataFrame
+    geometry: pd.DataFrame
+    rankings: pd.DataFrame
+    calibration: pd.DataFrame
+    cascade: pd.DataFrame
+    estimators: pd.DataFrame
+
+
+def set_table(photographs: Photographs) -> pd.DataFrame:
+    """Return one row per known set, the paper's first, then others that were evaluated.
+
+    Returns
+    -------
+    DataFrame
+        ``set, title, paper, state`` (``evaluated``, ``apart`` or ``not present``), ``pairs`` (as published where not
+        present), ``scenes``, ``labels`` (what decides that a match is right), ``points``, and pairs of each split.
+    """
+    known = {known.name: known for known in known_sets()}
+    rows = []
+    for name in (*known, *(name for name in photographs.sets if name not in known)):
+        title, paper = (known[name].title, known[name].paper) if name in known else (name, False)
+        row: dict[str, Any] = {"set": name, "title": title, "paper": paper}
+        if name not in photographs.sets:
+            rows.append(row | {"state": "not present", "pairs": known[name].pairs})
+            continue
+        part = photographs.pairs[photographs.pairs["set"] == name]
+        row |= {"state": "apart" if name in photographs.apart else "evaluated", "pairs": len(part)}
+        row |= {"scenes": part["scene"].nunique(), "labels": " + ".join(sorted(set(part["labels"])))}
+        row |= {"points": " + ".join(sorted(set(part["points"])))}
+        row |= {split: int((part["split"] == split).sum()) for split in (*SPLITS, UNLABELLED)}
+        rows.append(row)
+    counts = ["scenes", *SPLITS, UNLABELLED]
+    return pd.DataFrame(rows).astype(dict.fromkeys(counts, "Int64"))
+
+
+def success_table(photographs: Photographs, *, thresholds_px: Sequence[float], draws: int, seed: int) -> pd.DataFrame:
+    """Return successes by threshold, group, estimator and input.
+
+    Parameters
+    ----------
+    photographs : Photographs
+        Results.
+    thresholds_px : sequence of float
+        Of success, pixels.
+    draws, seed : int
+        Of the bootstrap, which draws whole scenes.
+
+    Returns
+    -------
+    DataFrame
+        ``threshold_px, group, estimator, input, pairs, scenes``; ``successes`` (pairs, mean over seeds) and their
+        deviation ``successes_sd``; ``scene_share``, the share of successes per scene, mean over scenes. Against the
+        input without preprocessing: ``gain``, the paper's contribution, and ``scene_gain``, the difference of scene
+        shares, with the ends of their 95 % intervals, ``_low`` and ``_high``; NaN for that input itself.
+    """
+    errors, scenes = error_runs(photographs), np.array(photographs.scenes)
+    rows = []
+    for threshold in thresholds_px:
+        for group, member in photographs.groups.items():
+            of_group = scenes[member].tolist()
+            for estimator in photographs.estimators:
+                names = photographs.inputs(estimator)
+                base = (errors.of(estimator, names[0])[member] < threshold).mean(axis=1)
+                child = child_seed(seed, group, estimator, str(threshold))
+                for name in names:
+                    own = errors.of(estimator, name)[member]
+                    mean, deviation = success_curve(own, [threshold])
+                    rates = (own < threshold).mean(axis=1)
+                    row: dict[str, Any] = {"threshold_px": threshold, "group": group, "estimator": estimator}
+                    row |= {"input": name, "pairs": len(own), "scenes": len(set(of_group))}
+                    row |= {"successes": mean[0], "successes_sd": deviation[0]}
+                    row["scene_share"] = scene_mean(rates, of_group)
+                    if name != names[0]:
+                        row |= _gains(base, rates, of_group, draws, child)
+                    rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _gains(base: FloatArray, rates: FloatArray, scenes: list[str], draws: int, seed: int) -> dict[str, float]:
+    by_pair = paired_bootstrap(base, rates, draws=draws, seed=seed, groups=scenes)
+    per_scene = pd.DataFrame({"a": base, "b": rates}).groupby(scenes, sort=True).mean()
+    by_scene = paired_bootstrap(per_scene["a"], per_scene["b"], draws=draws, seed=seed)
+    return {
+        **interval_cells("gain", by_pair.contribution, 1.0),
+        **interval_cells("scene_gain", by_scene.difference, 1.0),
+    }
+
+
+def geometry_table(photographs: Photographs, *, pose_deg: Sequence[float], recall_at: float) -> pd.DataFrame:
+    """Return poses and distances by group, estimator and input.
+
+    Parameters
+    ----------
+    photographs : Photographs
+        Results.
+    pose_deg : sequence of float
+        Limits of the area under the curve of pose errors, degrees.
+    recall_at : float
+        A run is recalled below this normalised symmetric geometric distance.
+
+    Returns
+    -------
+    DataFrame
+        ``group, estimator, input``; ``cameras``, pairs with a known pose, and ``auc_<limit>`` over these, then
+        ``scene_auc_<limit>``, averaged over scenes; ``true_F``, pairs with a true F, ``distance_recall`` and
+        ``median_distance`` over these. A run without F counts as a failure; NaN where there is no such pair.
+    """
+    poses, distances = pose_runs(photographs), distance_runs(photographs)
+    scenes = np.array(photographs.scenes)
+    with_pose, with_F = (_ever(photographs, column) for column in ("translation_deg", "distance"))
+    rows = []
+    for group, member in photographs.groups.items():
+        posed, true = member & with_pose, member & with_F
+        for estimator in photographs.estimators:
+            for name in photographs.inputs(estimator):
+                angle, distance = poses.of(estimator, name)[posed], distances.of(estimator, name)[true]
+                row: dict[str, Any] = {"group": group, "estimator": estimator, "input": name}
+                row["cameras"] = int(posed.sum())
+                for limit in pose_deg if posed.any() else ():
+                    area = np.clip(1 - angle / limit, 0, 1).mean(axis=1)
+                    row |= {f"auc_{limit:g}": float(area.mean())}
+                    row |= {f"scene_auc_{limit:g}": scene_mean(area, scenes[posed].tolist())}
+                row["true_F"] = int(true.sum())
+                if true.any():
+                    row["distance_recall"] = float((distance < recall_at).mean())
+                    row["median_distance"] = float(np.minimum(np.median(distance), 1.0))
+                rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _ever(photographs: Photographs, column: str) -> BoolArray:
+    """Return the pairs for which any run has a value: those whose truth allows the measure."""
+    found = set(photographs.results.loc[photographs.results[column].notna(), "pair"])
+    return photographs.pairs["pair"].isin(found).to_numpy(np.bool_)
+
+
+def ranking_table(photographs: Photographs, *, draws: int, seed: int) -> pd.DataFrame:
+    """Return means over labelled pairs by group and ranking.
+
+    Returns
+    -------
+    DataFrame
+        ``group, ranking, pairs``; `RANKING_MEASURES`; ``scene_precision_100``, averaged over scenes; and against
+        Lowe's order ``precision_gain``, the difference of precision at 100, with the ends of its 95 % interval over
+        scenes.
+    """
+    rows = []
+    member_of = {group: set(photographs.pairs["pair"][member]) for group, member in photographs.groups.items()}
+    for group, members in member_of.items():
+        part = photographs.rankings[photographs.rankings["pair"].isin(members)]
+        tables = {
+            name: part[part["ranking"] == name].set_index("pair").sort_index() for name in order_of(part["ranking"])
+        }
+        for ranking, table in tables.items():
+            row: dict[str, Any] = {"group": group, "ranking": ranking, "pairs": len(table)}
+            row |= {name: float(table[name].mean()) for name in RANKING_MEASURES}
+            scenes = [str(scene) for scene in table["scene"]]
+            row["scene_precision_100"] = scene_mean(table["precision_100"].to_numpy(np.float64), scenes)
+            if ranking != LOWE:
+                gain = table["precision_100"] - tables[LOWE]["precision_100"]
+                child = child_seed(seed, "ranking", group, ranking)
+                found = bootstrap_mean(gain, draws=draws, seed=child, groups=scenes)
+                row |= interval_cells("precision_gain", found, 1.0)
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def calibration_table(photographs: Photographs) -> pd.DataFrame:
+    """Return Brier score and expected calibration error by group and preset; groups without labels have no row."""
+    rows = []
+    for group, member in photographs.groups.items():
+        pairs = set(photographs.pairs["pair"][member])
+        part = photographs.calibration[photographs.calibration["pair"].isin(pairs)]
+        for preset in order_of(part["preset"]):
+            sums = calibration_sums(part[part["preset"] == preset])
+            row = {"group": group, "preset": preset, "matches": int(sums.count.sum()), "right": int(sums.right.sum())}
+            row |= {"brier_score": sums.brier_score, "expected_calibration_error": sums.expected_calibration_error}
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def pair_table(photographs: Photographs) -> pd.DataFrame:
+    """Return one row per pair, estimator and input: every number that the other tables are made of.
+
+    Returns
+    -------
+    DataFrame
+        ``set, pair_id, scene, split, labels, right_share``; ``estimator, input, found`` (runs with an F); the errors
+        of all seeds, ``error_px_<seed>``; ``distance`` and ``pose_deg``, means over runs with an F.
+    """
+    keys = ["set", "pair_id", "scene", "estimator", "input"]
+    table = photographs.results.assign(
+        scene=photographs.results["scene"].str.partition("/")[2],
+        pose_deg=photographs.results[["rotation_deg", "translation_deg"]].max(axis=1, skipna=False),
+        ok=photographs.results["status"] == "ok",
+    )
+    grouped = table.groupby(keys, sort=False)
+    means = grouped.agg(found=("ok", "sum"), distance=("distance", "mean"), pose_deg=("pose_deg", "mean"))
+    errors = table.pivot_table(index=keys, columns="seed", values="error_px", sort=False, dropna=False, aggfunc="first")
+    errors.columns = pd.Index([f"error_px_{seed}" for seed in errors.columns])
+    wide = means[["found"]].join(errors).join(means[["distance", "pose_deg"]]).reset_index()
+    about = photographs.pairs[["set", "pair_id", "split", "labels", "right_share"]]
+    wide = wide.merge(about, on=["set", "pair_id"], how="left", validate="many_to_one")
+    front = ["set", "pair_id", "scene", "split", "labels", "right_share", "estimator", "input"]
+    return wide[[*front, *(name for name in wide.columns if name not in front)]]
+
+
+def write_real_table(table: pd.DataFrame, path: Path) -> Path:
+    """Write a table as CSV with five significant digits: the one of all pairs is long."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    table.to_csv(path, index=False, float_format="%.5g", lineterminator="\n")
+    return path

@@ -1,0 +1,247 @@
+"""Numbers of the report on photographs as a reader sees them: cells, bounds, Markdown tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from epiprior_lab.matching import PRESETS, WITHOUT
+from epiprior_lab.photographs.bounds import CHAMPION, EASY, HARD
+from epiprior_lab.photographs.results import ALL, OURS
+from epiprior_lab.photographs.truth import SPLITS
+from epiprior_lab.reports.markdown import markdown_table
+from epiprior_lab.reports.study import order_of
+from epiprior_lab.reports.wording import contribution_cell, percent
+
+INPUT_NAMES = {"standard": "X_L", "generalized": "all similar", "default": "ours"}
+NOT_PRESENT = "not present"
+
+
+def input_name(name: str) -> str:
+    """Return an input as tables call it."""
+    return INPUT_NAMES.get(name, name)
+
+
+def group_title(group: str, pairs: int) -> str:
+    """Return the title of a group: ``hard pairs (61)``, ``all pairs (433)``, ``strecha (120)``."""
+    return f"{group} pairs ({pairs})" if group in (*SPLITS, ALL) else f"{group} ({pairs})"
+
+
+def share(value: float) -> str:
+    """Return a share as a percentage."""
+    return "" if np.isnan(value) else f"{100 * value:.0f} %"
+
+
+def number(value: float, digits: int = 2) -> str:
+    """Return a number, empty where there is none."""
+    return "" if np.isnan(value) else f"{value:.{digits}f}"
+
+
+def bound_rows(bounds: pd.DataFrame) -> list[dict[str, str]]:
+    """Return each bound in words: ``bound, found, met`` (``yes`` or ``no``)."""
+    return [
+        {"bound": _bound(row), "found": _found(row), "met": "yes" if row["met"] else "no"}
+        for row in bounds.to_dict("records")
+    ]
+
+
+def _bound(row: Mapping[Any, Any]) -> str:
+    wanted, at = row["wanted"], f"{row['threshold_px']:g} px"
+    if row["kind"] == HARD:
+        return f"every estimator gains at least {percent(wanted)} over X_L on hard pairs, {at}"
+    if row["kind"] == EASY:
+        return f"no estimator loses more than {-100 * wanted:g} % on easy pairs, {at}"
+    if row["kind"] == CHAMPION:
+        return f"{row['estimator']} on our matches is {percent(wanted)} ahead of the best peer on hard pairs, {at}"
+    return f"precision of the top 100 at least {wanted:+.2f} over Lowe's order, all pairs"
+
+
+def _found(row: Mapping[Any, Any]) -> str:
+    if np.isnan(row["found"]):
+        return "no such pair"
+    interval = {"found": row["found"], "found_low": row["low"], "found_high": row["high"]}
+    if row["kind"] in (HARD, EASY):
+        kept = f"{row['kept']:.0f} of {row['of']:.0f} keep to it"
+        return f"{kept}; lowest is {row['estimator']}: {contribution_cell(interval, 'found')}"
+    if row["kind"] == CHAMPION:
+        limit = "" if np.isinf(row["possible"]) else f"; {percent(row['possible'])} if it solved every pair"
+        return f"{contribution_cell(interval, 'found')} over {row['against']}{limit}"
+    return f"{row['found']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]; {row['possible']:+.2f} if all were right"
+
+
+def set_rows(sets: pd.DataFrame) -> list[list[str]]:
+    """Return the cells of each known set: title, pairs, scenes, labels, and pairs of each split."""
+    rows = []
+    for row in sets.to_dict("records"):
+        title = f"{row['title']} (the paper's)" if row["paper"] else str(row["title"])
+        if row["state"] == NOT_PRESENT:
+            rows.append([title, str(row["pairs"]), NOT_PRESENT, "", *("" for _ in SPLITS), ""])
+            continue
+        counts = [str(row[name]) for name in (*SPLITS, "unlabelled")]
+        labels = str(row["labels"]) + (", reported apart" if row["state"] == "apart" else "")
+        rows.append([title, str(row["pairs"]), str(row["scenes"]), labels, *counts])
+    return rows
+
+
+SET_HEAD = ("set", "pairs", "scenes", "labels", *SPLITS, "unlabelled")
+
+
+def success_rows(at: pd.DataFrame) -> list[list[str]]:
+    """Return one row per estimator of one threshold and group.
+
+    Returns
+    -------
+    list of list of str
+        Estimator; successes without, and on every other input; contribution of ours over without with its interval;
+        scene shares without and with ours, and their difference with its interval.
+    """
+    others = [name for name in order_of(at["input"]) if name not in WITHOUT]
+    rows = []
+    for estimator, part in at.groupby("estimator", sort=False):
+        cells = {str(row["input"]): row for row in part.to_dict("records")}
+        without = next(row for name, row in cells.items() if name in WITHOUT)
+        ours = cells[OURS]
+        found = [without, *(cells.get(name) for name in others)]
+        texts = ["" if row is None else f"{row['successes']:.1f} ± {row['successes_sd']:.1f}" for row in found]
+        scenes = f"{share(without['scene_share'])} → {share(ours['scene_share'])}"
+        low, value, high = (100 * ours[f"scene_gain{end}"] for end in ("_low", "", "_high"))
+        change = f"{value:+.0f} [{low:+.0f}, {high:+.0f}]"
+        rows.append([str(estimator), *texts, contribution_cell(ours, "gain"), scenes, change])
+    return rows
+
+
+def success_head(at: pd.DataFrame) -> list[str]:
+    """Return the head of `success_rows`."""
+    others = [input_name(name) for name in order_of(at["input"]) if name not in WITHOUT]
+    return ["estimator", "without", *others, "ours over without", "per scene", "points"]
+
+
+def report_markdown(bounds: pd.DataFrame, sets: pd.DataFrame, successes: pd.DataFrame, rankings: pd.DataFrame) -> str:
+    """Return bounds, sets, rankings and all successes as text for a reader."""
+    lines = [
+        "# Photographs: estimators without and with the preprocessing step",
+        "",
+        "Models, hand-over and rules come from rendered scenes; no photograph took part in any choice. Successes are",
+        "numbers of pairs whose error (mean over control points of the root of the Sampson distance) is below the",
+        "threshold: mean over seeds ± one standard deviation. `without`: X_L of the paper, or all matches above a",
+        "similarity for `generalized-ransac`. Contributions are (with - without) / without, with 95 % bootstrap",
+        "intervals over scenes. `per scene`: share of successes, averaged over scenes, without → ours, and its change",
+        "in percentage points: pairs of one scene are alike, and some scenes have many. Splits follow from the ground",
+        "truth alone: the share of right matches in X_L is above 0.5 (easy), 0.2 to 0.5 (medium), below 0.2 (hard).",
+        "",
+        "## Bounds",
+        "",
+        *markdown_table(
+            ["bound", "found", "met"], [[r["bound"], r["found"], r["met"]] for r in bound_rows(bounds)], texts=3
+        ),
+        "",
+        "Those of time are in timings/bounds.csv, since times differ from run to run.",
+        "",
+        "## Sets",
+        "",
+        *markdown_table(SET_HEAD, set_rows(sets)),
+        "",
+        "`epipolar`: only the epipolar line decides whether a match is right, and 1 to 4 % of random matches satisfy",
+        "that by chance; `3D` and `plane` would be exact. `none`: the control points decide no F, so nothing is",
+        "labelled, and the pair is in no split.",
+        "",
+        "## Rankings",
+        "",
+        *ranking_lines(rankings),
+    ]
+    for threshold, at in successes.groupby("threshold_px", sort=False):
+        lines += ["", f"## Below {threshold:g} px"]
+        for group, part in at.groupby("group", sort=False):
+            title = group_title(str(group), int(part["pairs"].iloc[0]))
+            lines += ["", f"### {title}", "", *markdown_table(success_head(part), success_rows(part))]
+    return "\n".join(lines) + "\n"
+
+
+def ranking_rows(rankings: pd.DataFrame) -> list[list[str]]:
+    """Return the cells of each group and ranking."""
+    rows = []
+    for row in rankings.to_dict("records"):
+        gain = ""
+        if not np.isnan(row.get("precision_gain", np.nan)):
+            gain = f"{row['precision_gain']:+.2f} [{row['precision_gain_low']:+.2f}, {row['precision_gain_high']:+.2f}]"
+        texts = [number(row[f"precision_{depth}"]) for depth in (10, 100, 500)]
+        texts += [number(row["scene_precision_100"]), number(row["average_precision"]), gain]
+        rows.append([str(row["group"]), input_name(str(row["ranking"])), str(row["pairs"]), *texts])
+    return rows
+
+
+RANKING_HEAD = (
+    "group", "ranking", "pairs", "top 10", "top 100", "top 500", "top 100 per scene", "average precision",
+    "top 100 over Lowe's order",
+)  # fmt: skip
+
+
+def ranking_lines(rankings: pd.DataFrame) -> list[str]:
+    """Return the table of rankings."""
+    return markdown_table(RANKING_HEAD, ranking_rows(rankings), texts=2)
+
+
+def split_lines(successes: pd.DataFrame, threshold_px: float) -> list[str]:
+    """Return one row per estimator; per split the successes on every input, ours last and the best bold; then our gain.
+
+    The head names the inputs in their order.
+    """
+    at = successes[successes["threshold_px"] == threshold_px]
+    groups = [group for group in order_of(at["group"]) if group in (*SPLITS, ALL)]
+    records = at.set_index(["estimator", "group", "input"]).to_dict("index")
+    rows = []
+    for estimator in order_of(at["estimator"]):
+        own = order_of(at[at["estimator"] == estimator]["input"])
+        names = [name for name in own if name not in PRESETS] + [OURS]
+        texts = []
+        for group in groups:
+            numbers = [f"{records[estimator, group, name]['successes']:.1f}" for name in names]
+            best = max(numbers, key=float)
+            texts.append(" / ".join(f"**{text}**" if text == best else text for text in numbers))
+        rows.append([estimator, *texts, contribution_cell(records[estimator, ALL, OURS], "gain")])
+    pairs = {group: int(at[at["group"] == group]["pairs"].iloc[0]) for group in groups}
+    others = [input_name(name) for name in order_of(at["input"]) if name not in (*WITHOUT, *PRESETS)]
+    return markdown_table(
+        [
+            " / ".join(["estimator: without", *others, "ours"]),
+            *(group_title(group, pairs[group]) for group in groups),
+            "ours over without",
+        ],
+        rows,
+    )
+
+
+def set_lines(
+    sets: pd.DataFrame, successes: pd.DataFrame, rankings: pd.DataFrame, estimator: str, thresholds_px: Iterable[float]
+) -> list[str]:
+    """Return one row per known set: precision of the top 100 / successes at each threshold, per input."""
+    thresholds = tuple(thresholds_px)
+    mine = successes[successes["estimator"] == estimator]
+    inputs = sorted(order_of(mine["input"]), key=lambda name: name == OURS)  # ours last
+    found = mine.set_index(["group", "input", "threshold_px"])["successes"].to_dict()
+    precision = rankings.set_index(["group", "ranking"])["precision_100"].to_dict()
+
+    def cells(group: str) -> list[str]:
+        texts = []
+        for name in inputs:
+            values = [number(precision.get((group, name), np.nan)) or "–"]
+            values += [f"{found[group, name, threshold]:.1f}" for threshold in thresholds]
+            texts.append(" / ".join(values))
+        return texts
+
+    rows: list[Sequence[str]] = []
+    for row in sets.to_dict("records"):
+        present = row["state"] != NOT_PRESENT
+        rows.append(
+            [
+                str(row["title"]),
+                str(row["pairs"]),
+                *(cells(str(row["set"])) if present else [NOT_PRESENT] * len(inputs)),
+            ]
+        )
+    total = int(successes[successes["group"] == ALL]["pairs"].iloc[0])
+    rows.append(["**total**", str(total), *cells(ALL)])
+    return markdown_table(["set", "pairs", *(input_name(name) for name in inputs)], rows)
