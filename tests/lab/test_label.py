@@ -428,9 +428,18 @@ def test_the_server_fits(server):
 # --- the command
 
 
+# What a shell starts in the background ignores Ctrl+C; so would the program, were the tests started like this.
+LISTENING = """
+import signal
+from epiprior_lab.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+main()
+"""
+
+
 def start(arguments, tmp_path):
     """Start the command in a process of its own; return it and the page's address."""
-    command = [sys.executable, "-m", "epiprior_lab.cli", "label", *arguments, "--no-browser"]
+    command = [sys.executable, "-c", LISTENING, "label", *arguments, "--no-browser"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     for line in process.stdout:
         if found := re.search(r"http://127\.0\.0\.1:\d+/\S+", line):

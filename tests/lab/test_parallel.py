@@ -86,9 +86,11 @@ def interrupt(value):
 """
 
 STOPPED = """
+import signal
 import sys
 from pathlib import Path
 import work
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by what a shell starts in the background
 from epiprior_lab.parallel import Task, map_tasks
 tasks = [Task(name=str(i), payload={"value": i, "log": sys.argv[2]}) for i in range(60)]
 map_tasks(work.slow, tasks, workers=2, description="slow", store=Path(sys.argv[1]))
