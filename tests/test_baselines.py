@@ -1,16 +1,37 @@
-"""Inputs without preprocessing: the many candidates of generalised RANSAC."""
+"""Inputs without preprocessing: handed-in features, and the many candidates of generalised RANSAC."""
 
 from __future__ import annotations
+
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
 import epiprior
-from epiprior.baselines import _candidates, generalized_matches, standard_matches
-from epiprior.errors import SettingsError
+import epiprior.pair
+from epiprior.baselines import _candidates, generalized_matches, snn_matches, standard_matches
+from epiprior.errors import FeatureError, SettingsError
 from epiprior.estimators import run
+from epiprior.features import detect_features, load_photograph
 from epiprior.types import Status
 from pictures import relief_pair, texture
+
+
+@pytest.mark.parametrize("make", [standard_matches, snn_matches, generalized_matches])
+def test_handed_in_features_give_what_detection_gives(make, monkeypatch):
+    pair = relief_pair()
+    wanted = make(*pair)
+    features1, features2 = (detect_features(load_photograph(image)) for image in pair)
+    monkeypatch.setattr(epiprior.pair, "detect_features", None)  # nothing is detected again
+    got = make(*pair, features1=features1, features2=features2)
+    assert len(got) > 100
+    for column in fields(got):
+        np.testing.assert_array_equal(getattr(got, column.name), getattr(wanted, column.name), err_msg=column.name)
+    half1, half2 = (features.take(np.arange(0, len(features), 2)) for features in (features1, features2))
+    assert len(half1) > len(make(*pair, features1=half1, features2=features2)) > 10
+    assert 10 < len(make(*pair, features1=features1, features2=half2)) < len(got)
+    with pytest.raises(FeatureError, match="image 2 belong to"):
+        make(pair[0], pair[1][:-10], features1=features1, features2=features2)
 
 
 def naive_candidates(S, threshold, limit):

@@ -14,7 +14,7 @@ from epiprior.features import FeatureSettings, Image
 from epiprior.pair import PreparedPair, prepare_pair
 from epiprior.presets import DEFAULT, PreprocessSettings, find_preset
 from epiprior.standard import mutual_mask, similarity_weights
-from epiprior.types import Float32Array, FloatArray, IntArray, MatchSet
+from epiprior.types import Features, Float32Array, FloatArray, IntArray, MatchSet
 
 _BLOCK = 512
 
@@ -52,7 +52,13 @@ def _nearest_set(prepared: PreparedPair, rows: IntArray) -> MatchSet:
 
 
 def standard_matches(
-    image1: Image, image2: Image, *, features: FeatureSettings | None = None, max_distance_ratio: float = 0.9
+    image1: Image,
+    image2: Image,
+    *,
+    features: FeatureSettings | None = None,
+    max_distance_ratio: float = 0.9,
+    features1: Features | None = None,
+    features2: Features | None = None,
 ) -> MatchSet:
     """Return X_L, the standard putative matches of the paper, ordered by distance ratio: the baseline.
 
@@ -64,6 +70,8 @@ def standard_matches(
         The paper's by default: plain SIFT, normalised cross-correlation.
     max_distance_ratio : float
         Matches with a higher d_r are left out.
+    features1, features2 : Features, optional
+        Used instead of detected ones; `features` then says how descriptors are normalised.
 
     References
     ----------
@@ -74,16 +82,31 @@ def standard_matches(
         features=features or find_preset("paper").features,
         max_distance_ratio=max_distance_ratio,
     )
-    return standard_set(prepare_pair(image1, image2, settings), settings)
+    return standard_set(prepare_pair(image1, image2, settings, features1=features1, features2=features2), settings)
 
 
-def snn_matches(image1: Image, image2: Image, *, max_distance_ratio: float = 0.85) -> MatchSet:
+def snn_matches(
+    image1: Image,
+    image2: Image,
+    *,
+    max_distance_ratio: float = 0.85,
+    features1: Features | None = None,
+    features2: Features | None = None,
+) -> MatchSet:
     """Return mutual nearest neighbours of RootSIFT below a ratio, ordered by it: the strongest simple baseline.
 
-    The ratio is of Euclidean distances of the descriptors, as users of this baseline compute it.
+    Parameters
+    ----------
+    image1, image2 : path or ndarray
+        The photographs.
+    max_distance_ratio : float
+        Matches below it are kept. The ratio is of Euclidean distances of the descriptors, as users of this baseline
+        compute it.
+    features1, features2 : Features, optional
+        Used instead of detected ones; descriptors as SIFT gives them, which are made RootSIFT here.
     """
     settings = replace(DEFAULT, features=FeatureSettings(root=True, centred=False))
-    prepared = prepare_pair(image1, image2, settings)
+    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
     forward = prepared.forward
     distance, distance2 = (np.sqrt(np.maximum(2 - 2 * s.astype(np.float64), 0)) for s in (forward.best, forward.second))
     ratio = np.divide(distance, distance2, out=np.ones_like(distance), where=distance2 > 0)
@@ -100,6 +123,8 @@ def generalized_matches(
     max_candidates: int = 5,
     right_share: float = 0.5,
     features: FeatureSettings | None = None,
+    features1: Features | None = None,
+    features2: Features | None = None,
 ) -> MatchSet:
     """Return all matches above a similarity, many-to-many, each at a low probability: input of generalised RANSAC.
 
@@ -116,6 +141,8 @@ def generalized_matches(
         Probability, in (0, 1), that one of a feature's candidates is right; its candidates share it.
     features : FeatureSettings, optional
         The paper's by default: plain SIFT, normalised cross-correlation.
+    features1, features2 : Features, optional
+        Used instead of detected ones; `features` then says how descriptors are normalised.
 
     Returns
     -------
@@ -140,7 +167,7 @@ def generalized_matches(
     if not 0 < right_share < 1:
         raise SettingsError(f"right_share is {right_share}, expected a number between 0 and 1")
     settings = replace(find_preset("paper"), features=features or find_preset("paper").features)
-    prepared = prepare_pair(image1, image2, settings)
+    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
     rows, to, similarity = _candidates(*prepared.descriptors, ncc_threshold, max_candidates)
     f1, f2 = prepared.features
     feature1, feature2 = prepared.locations[0].of_feature[rows], prepared.locations[1].of_feature[to]

@@ -24,7 +24,7 @@ from epiprior.baselines import generalized_matches, snn_matches, standard_matche
 from epiprior.errors import SettingsError
 from epiprior.features import FeatureSettings, detect_features, load_photograph
 from epiprior.preprocess import rank_matches
-from epiprior.types import Features, MatchSet
+from epiprior.types import MatchSet
 from epiprior_lab.datasets import Pair
 from epiprior_lab.parallel import Task, map_tasks
 
@@ -33,7 +33,7 @@ BASELINES = ("standard", "snn", "generalized")
 PRESETS = ("paper", "default")
 INPUTS = BASELINES + PRESETS
 
-_MAKERS: Mapping[str, Callable[[Path, Path], MatchSet]] = {
+_MAKERS: Mapping[str, Callable[..., MatchSet]] = {
     "standard": standard_matches,
     "snn": snn_matches,
     "generalized": generalized_matches,
@@ -81,16 +81,15 @@ def match_pair(pair: Pair, inputs: Sequence[str]) -> PairMatches:
         raise SettingsError(f"input is {unknown[0]!r}, known: {', '.join(INPUTS)}")
     settings = FeatureSettings()
     photographs = [load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2)]
-    detected: list[Features] = []
+    # All inputs detect the same; they differ in how descriptors are normalised, and in what follows.
+    features1, features2 = (detect_features(photograph, settings) for photograph in photographs)
+    shared = {"features1": features1, "features2": features2}
     sets: dict[str, tuple[MatchSet, ...]] = {}
     for name in inputs:
         if name in _MAKERS:
-            sets[name] = (_MAKERS[name](pair.image1, pair.image2),)
+            sets[name] = (_MAKERS[name](pair.image1, pair.image2, **shared),)
         else:
-            # Presets differ in how descriptors are normalised, not in what is detected.
-            detected = detected or [detect_features(photograph, settings) for photograph in photographs]
-            ranked = rank_matches(pair.image1, pair.image2, preset=name, features1=detected[0], features2=detected[1])
-            sets[name] = ranked.sets
+            sets[name] = rank_matches(pair.image1, pair.image2, preset=name, **shared).sets
     return PairMatches(sets=sets, pixel_factors=(photographs[0].factor, photographs[1].factor))
 
 

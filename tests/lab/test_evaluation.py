@@ -1,6 +1,6 @@
 """Evaluation of pairs and the choice of hand-overs, on tiny pictures with a model made by hand."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -8,11 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import epiprior.pair
 import epiprior.preprocess
 from epiprior.baselines import snn_matches
 from epiprior.errors import SettingsError
 from epiprior.estimate import estimate_from_matches
-from epiprior.features import FeatureSettings
+from epiprior.features import FeatureSettings, detect_features
 from epiprior.geometry import sampson_distance
 from epiprior.handover import HandOver, load_hand_overs
 from epiprior.models import load_model
@@ -224,6 +225,24 @@ def test_matches_do_not_depend_on_estimators():
     """So that a changed estimator leaves stored matches as they are."""
     files = source_files(Path(matching.__file__))
     assert not [file for file in files if file.parent.name == "estimators"]
+
+
+def test_features_are_detected_once_for_all_inputs(pairs, tiny_model, monkeypatch):
+    detected = []
+
+    def counted(photograph, settings):
+        detected.append(photograph)
+        return detect_features(photograph, settings)
+
+    wanted = {name: matching.match_pair(pairs[0], (name,)).sets[name] for name in ("snn", "generalized", "default")}
+    monkeypatch.setattr(matching, "detect_features", counted)
+    monkeypatch.setattr(epiprior.pair, "detect_features", None)
+    got = matching.match_pair(pairs[0], tuple(wanted)).sets
+    assert len(detected) == 2
+    for name, sets in wanted.items():
+        for a, b in zip(got[name], sets, strict=True):
+            for column in fields(a):
+                np.testing.assert_array_equal(getattr(a, column.name), getattr(b, column.name))
 
 
 def test_presets_detect_the_same_features():
