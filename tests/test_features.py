@@ -54,6 +54,41 @@ def test_fixed_orientation_turns_with_the_image(angle_deg):
         assert similarity[-1] < 0.6
 
 
+def test_a_photograph_is_described_once_per_orientation(monkeypatch):
+    image = textured()
+    found = ft.detect_features(ft.load_photograph(image))
+    few = found.take(np.arange(30))
+    asked = ((found, 0.0), (found, 30.0), (few, 0.0))
+    wanted = [ft.describe_at_orientation(ft.load_photograph(image), *each) for each in asked]
+    assert not np.array_equal(wanted[0], wanted[1])
+    described = []
+
+    def counted(grey, frames):
+        described.append(len(frames))
+        return describe_frames(grey, frames)
+
+    describe_frames = ft.describe_frames
+    monkeypatch.setattr(ft, "describe_frames", counted)
+    photo = ft.load_photograph(image)
+    for _ in range(2):
+        for each, descriptors in zip(asked, wanted, strict=True):
+            np.testing.assert_array_equal(ft.describe_at_orientation(photo, *each), descriptors)
+    assert described == [len(found), len(found), 30]
+    with pytest.raises(ValueError, match="read-only"):
+        ft.describe_at_orientation(photo, found, 0.0)[0] = 0
+
+
+def test_a_loaded_photograph_is_taken_as_it_is():
+    image = textured(size=(300, 500))
+    for limit in (200, 1024):
+        photo = ft.load_photograph(image, limit)
+        assert ft.load_photograph(photo, limit) is photo
+    with pytest.raises(ImageError, match="max_image_size 200"):
+        ft.load_photograph(photo, 200)
+    with pytest.raises(ImageError, match="max_image_size 400"):
+        ft.load_photograph(ft.load_photograph(image, 200), 400)
+
+
 @pytest.mark.parametrize("angle_deg", [37.0, 90.0, -120.0])
 def test_roll_is_recovered_from_a_turned_image(angle_deg):
     image = textured(1)

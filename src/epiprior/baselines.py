@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from epiprior.errors import SettingsError
-from epiprior.features import FeatureSettings, Image
+from epiprior.features import FeatureSettings, View
 from epiprior.pair import PreparedPair, prepare_pair
 from epiprior.presets import DEFAULT, PreprocessSettings, find_preset
 from epiprior.standard import mutual_mask, similarity_weights
@@ -52,8 +52,8 @@ def _nearest_set(prepared: PreparedPair, rows: IntArray) -> MatchSet:
 
 
 def standard_matches(
-    image1: Image,
-    image2: Image,
+    image1: View,
+    image2: View,
     *,
     features: FeatureSettings | None = None,
     max_distance_ratio: float = 0.9,
@@ -64,7 +64,7 @@ def standard_matches(
 
     Parameters
     ----------
-    image1, image2 : path or ndarray
+    image1, image2 : path, ndarray or Photograph
         The photographs.
     features : FeatureSettings, optional
         The paper's by default: plain SIFT, normalised cross-correlation.
@@ -86,8 +86,8 @@ def standard_matches(
 
 
 def snn_matches(
-    image1: Image,
-    image2: Image,
+    image1: View,
+    image2: View,
     *,
     max_distance_ratio: float = 0.85,
     features1: Features | None = None,
@@ -97,7 +97,7 @@ def snn_matches(
 
     Parameters
     ----------
-    image1, image2 : path or ndarray
+    image1, image2 : path, ndarray or Photograph
         The photographs.
     max_distance_ratio : float
         Matches below it are kept. The ratio is of Euclidean distances of the descriptors, as users of this baseline
@@ -116,8 +116,8 @@ def snn_matches(
 
 
 def generalized_matches(
-    image1: Image,
-    image2: Image,
+    image1: View,
+    image2: View,
     *,
     ncc_threshold: float = 0.85,
     max_candidates: int = 5,
@@ -130,7 +130,7 @@ def generalized_matches(
 
     Parameters
     ----------
-    image1, image2 : path or ndarray
+    image1, image2 : path, ndarray or Photograph
         The photographs.
     ncc_threshold : float
         Lowest normalised cross-correlation of two descriptors, in (-1, 1).

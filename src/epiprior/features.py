@@ -7,7 +7,7 @@ in pixels of the image as given.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -72,10 +72,16 @@ class Photograph:
         The working image.
     size : tuple of int
         Width and height of the image as given.
+
+    Notes
+    -----
+    It remembers what `describe_at_orientation` made of it: image 1 is described alike under every roll hypothesis, and
+    both images under every preset.
     """
 
     grey: NDArray[np.uint8]
     size: tuple[int, int]
+    described: dict[bytes, Float32Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def factors(self) -> FloatArray:
@@ -104,21 +110,32 @@ class Photograph:
         return np.array([[scale[0], 0.0, shift[0]], [0.0, scale[1], shift[1]], [0.0, 0.0, 1.0]])
 
 
-def load_photograph(image: Image, max_image_size: int = 1024) -> Photograph:
+View = Image | Photograph
+
+
+def load_photograph(image: View, max_image_size: int = 1024) -> Photograph:
     """Read an image, or take an array, as grey values at working size.
 
     Parameters
     ----------
-    image : str, Path or ndarray
-        A file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB.
+    image : str, Path, ndarray or Photograph
+        A file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB. A photograph that was loaded at the same
+        `max_image_size` comes back as it is.
     max_image_size : int
         Longer side of the working image, pixels.
 
     Raises
     ------
     ImageError
-        If the file is missing or no image, or the array has another shape or type, or is empty.
+        If the file is missing or no image, the array has another shape or type or is empty, or the photograph was
+        loaded at another size.
     """
+    if isinstance(image, Photograph):
+        if max(image.grey.shape) != min(max(image.size), max_image_size):
+            raise ImageError(
+                f"a photograph of {image.grey.shape[::-1]} was not loaded at max_image_size {max_image_size}"
+            )
+        return image
     grey = _read_grey(Path(image)) if isinstance(image, str | Path) else _grey_of_array(image)
     height, width = grey.shape
     longer = max(height, width)
@@ -290,11 +307,16 @@ def describe_at_orientation(photograph: Photograph, features: Features, orientat
     Returns
     -------
     ndarray, shape (N, 128), float32
-        Not normalised.
+        Not normalised, and read-only: the photograph remembers it.
     """
     angle = np.full(len(features), orientation_deg)
     frames = np.column_stack([photograph.to_working(features.xy), features.scale / photograph.factor, angle])
-    return describe_frames(photograph.grey, frames)
+    key = frames.tobytes()
+    if key not in photograph.described:
+        descriptors = describe_frames(photograph.grey, frames)
+        descriptors.flags.writeable = False
+        photograph.described[key] = descriptors
+    return photograph.described[key]
 
 
 def normalise_descriptors(descriptors: Float32Array, *, root: bool, centred: bool) -> Float32Array:

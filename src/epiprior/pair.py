@@ -15,8 +15,8 @@ import numpy as np
 from epiprior.errors import FeatureError, ImageError
 from epiprior.features import (
     FeatureSettings,
-    Image,
     Photograph,
+    View,
     detect_features,
     load_photograph,
     normalise_descriptors,
@@ -77,8 +77,8 @@ class PreparedPair:
 
 
 def prepare_pair(
-    image1: Image | None,
-    image2: Image | None,
+    image1: View | None,
+    image2: View | None,
     settings: PreprocessSettings = DEFAULT,
     *,
     features1: Features | None = None,
@@ -89,7 +89,7 @@ def prepare_pair(
 
     Parameters
     ----------
-    image1, image2 : path, ndarray or None
+    image1, image2 : path, ndarray, Photograph or None
         The photographs. None only where features are handed in; then their own descriptors also serve where the
         method asks for descriptors at a fixed orientation, and repeated corners are told apart less well.
     settings : PreprocessSettings

@@ -6,7 +6,7 @@ import numpy as np
 
 from epiprior.baselines import standard_set
 from epiprior.compilation import announce_compilation
-from epiprior.features import Image
+from epiprior.features import View
 from epiprior.hypothesis import (
     Candidates,
     UnitedMatches,
@@ -25,8 +25,8 @@ from epiprior.types import Features, FloatArray, MatchSet, RankedMatches
 
 
 def rank_matches(
-    image1: Image | None,
-    image2: Image | None,
+    image1: View | None,
+    image2: View | None,
     *,
     preset: str = "default",
     features1: Features | None = None,
@@ -38,7 +38,7 @@ def rank_matches(
 
     Parameters
     ----------
-    image1, image2 : path or ndarray
+    image1, image2 : path, ndarray or Photograph
         The photographs: a file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB. None where features are
         handed in and no image is at hand.
     preset : str

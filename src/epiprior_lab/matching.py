@@ -80,17 +80,16 @@ def match_pair(pair: Pair, inputs: Sequence[str]) -> PairMatches:
     if unknown:
         raise SettingsError(f"input is {unknown[0]!r}, known: {', '.join(INPUTS)}")
     settings = FeatureSettings()
-    photographs = [load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2)]
+    photo1, photo2 = (load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2))
     # All inputs detect the same; they differ in how descriptors are normalised, and in what follows.
-    features1, features2 = (detect_features(photograph, settings) for photograph in photographs)
-    shared = {"features1": features1, "features2": features2}
+    shared = {"features1": detect_features(photo1, settings), "features2": detect_features(photo2, settings)}
     sets: dict[str, tuple[MatchSet, ...]] = {}
     for name in inputs:
         if name in _MAKERS:
-            sets[name] = (_MAKERS[name](pair.image1, pair.image2, **shared),)
+            sets[name] = (_MAKERS[name](photo1, photo2, **shared),)
         else:
-            sets[name] = rank_matches(pair.image1, pair.image2, preset=name, **shared).sets
-    return PairMatches(sets=sets, pixel_factors=(photographs[0].factor, photographs[1].factor))
+            sets[name] = rank_matches(photo1, photo2, preset=name, **shared).sets
+    return PairMatches(sets=sets, pixel_factors=(photo1.factor, photo2.factor))
 
 
 @dataclass(frozen=True, kw_only=True)
