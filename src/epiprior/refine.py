@@ -102,9 +102,9 @@ def refine_fundamental(
 
 def _fit_weights(F: FloatArray, x1: FloatArray, x2: FloatArray, w: FloatArray, threshold: float) -> FloatArray:
     """Return the weight of each match's squared algebraic residual in the next fit."""
-    line2 = x1 @ F[:2, :2].T + F[:2, 2]
-    line1 = x2 @ F[:2, :2] + F[2, :2]
-    gradient_sq = (line2**2).sum(axis=1) + (line1**2).sum(axis=1)
+    a, b = (x1 @ F[:2, :2].T + F[:2, 2]).T
+    d, e = (x2 @ F[:2, :2] + F[2, :2]).T
+    gradient_sq = (a * a + b * b) + (d * d + e * e)
     r = sampson_distance(F, x1, x2) / threshold
     tukey = np.square(np.maximum(1.0 - r * r, 0.0))
     scale = float(np.median(gradient_sq))

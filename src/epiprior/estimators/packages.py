@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 from importlib import metadata
 
@@ -11,6 +12,7 @@ def what_to_install(module: str, requirement: str) -> str:
     return "" if importlib.util.find_spec(module) else f'pip install "{requirement}"'
 
 
+@functools.cache  # parsing the metadata takes milliseconds, and every estimate carries a version
 def package_version(package: str) -> str:
     """Return ``package version`` as installed, or `package` alone where it carries no metadata."""
     try:
