@@ -31,6 +31,7 @@ def validation_rows(
     pairs: Sequence[Pair],
     *,
     inputs: Mapping[str, Sequence[str]],
+    matched: Sequence[str],
     seeds: Sequence[int],
     hand_overs: HandOvers,
     files: Sequence[Path] = (),
@@ -45,6 +46,8 @@ def validation_rows(
         Validation pairs.
     inputs : mapping of str to sequence of str
         For each estimator its inputs, of which one is without preprocessing.
+    matched : sequence of str
+        The inputs that pairs are matched for: those of the stage whose matches lie in the same `store`, in its order.
     seeds, hand_overs, files, workers, store
         As for `epiprior_lab.evaluation.evaluate_pairs`.
 
@@ -53,10 +56,9 @@ def validation_rows(
     list of dict
         Rows as in ``results.csv`` of the evaluation, without the family.
     """
-    used = tuple(dict.fromkeys(name for names in inputs.values() for name in names))
     with match_folder(store) as folder:
-        matched = store_matches(
-            pairs, used, folder, files=files, workers=workers, description="match", resume=store is not None
+        kept = store_matches(
+            pairs, matched, folder, files=files, workers=workers, description="match", resume=store is not None
         )
         tasks = [
             Task(
@@ -70,7 +72,7 @@ def validation_rows(
                 },
                 files=(*pair.files, *matches.paths.values()),
             )
-            for pair, matches in zip(pairs, matched, strict=True)
+            for pair, matches in zip(pairs, kept, strict=True)
             for estimator, names in inputs.items()
         ]
         found = map_tasks(estimator_rows, tasks, workers=workers, description="estimate", store=store)

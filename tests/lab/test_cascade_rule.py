@@ -287,11 +287,17 @@ def test_rows_of_validation_pairs_are_those_of_the_evaluation(monkeypatch):
         ]
 
     monkeypatch.setattr(cascade_rule, "map_tasks", map_tasks)
-    monkeypatch.setattr(cascade_rule, "store_matches", lambda pairs, *_, **__: [Matches() for _ in pairs])
+
+    def store_matches(pairs, inputs, *_, **__):
+        assert inputs == ("standard", "snn", "default")  # as another stage has them, though nothing runs on `snn` here
+        return [Matches() for _ in pairs]
+
+    monkeypatch.setattr(cascade_rule, "store_matches", store_matches)
     hand_overs = {name: {"standard": 1, "default": 2, "snn": 3} for name in ("usac", "prosac")}
     rows = cascade_rule.validation_rows(
         [Pair("a"), Pair("b")],
         inputs={"usac": ("standard", "default"), "prosac": ("default",)},
+        matched=("standard", "snn", "default"),
         seeds=[4],
         hand_overs=hand_overs,
     )

@@ -22,25 +22,25 @@ OUT = Path("reports")
 
 
 def validation_runs(params: Params) -> pd.DataFrame:
-    """Return the runs on validation scenes."""
+    """Return the runs on validation scenes; matches are in the store of the stage `hand_over`."""
     hand_overs = load_hand_overs(Path("models/hand_over.json"))
     inputs = {
         estimator: tuple(name for name in names if name in (*WITHOUT, PREPROCESSED))
         for estimator, names in params.evaluate.inputs_by_estimator.items()
     }
-    rows = []
-    for family in params.scenes.families:
-        found = validation_rows(
-            study_pairs("validation", family),
-            inputs=inputs,
-            seeds=params.cascade.seeds,
-            hand_overs=hand_overs,
-            files=model_files(Path("models"), (PREPROCESSED,)),
-            workers=default_workers(),
-            store=Path("data/.tasks/cascade") / family,
-        )
-        rows += [{"family": family, **row} for row in found]
-    return paired_runs(pd.DataFrame(rows))
+    pairs = {family: study_pairs("validation", family) for family in params.scenes.families}
+    family_of = {pair.pair_id: family for family, members in pairs.items() for pair in members}
+    rows = validation_rows(
+        [pair for members in pairs.values() for pair in members],
+        inputs=inputs,
+        matched=params.evaluate.all_inputs,
+        seeds=params.cascade.seeds,
+        hand_overs=hand_overs,
+        files=model_files(Path("models"), params.evaluate.all_inputs),
+        workers=default_workers(),
+        store=Path("data/.tasks/validation"),
+    )
+    return paired_runs(pd.DataFrame([{"family": family_of[row["pair_id"]], **row} for row in rows]))
 
 
 def evaluated_runs(params: Params) -> pd.DataFrame:

@@ -22,7 +22,7 @@ def main() -> None:
         params=params.hand_over,
         files=model_files(Path("models"), params.evaluate.all_inputs),
         workers=default_workers(),
-        store=Path("data/.tasks/hand_over"),
+        store=Path("data/.tasks/validation"),
     )
     Path("models").mkdir(exist_ok=True)
     save_hand_overs(Path("models/hand_over.json"), chosen_hand_overs(best))
