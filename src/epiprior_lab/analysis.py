@@ -21,15 +21,15 @@ from pathlib import Path
 import numpy as np
 
 from epiprior.baselines import standard_set
-from epiprior.features import FeatureSettings, detect_features, load_photograph
 from epiprior.hypothesis import Candidates, cast_votes
 from epiprior.models import load_model
 from epiprior.presets import find_preset
-from epiprior.types import BoolArray, Features, FloatArray, MatchSet
+from epiprior.types import BoolArray, FloatArray, MatchSet
 from epiprior_lab import analysis_oracles as oracles
 from epiprior_lab.analysis_bench import AnalysisSettings, Bench, HandOvers, Row
 from epiprior_lab.analysis_variants import Proposals, oriented_votes, propose, ranked_sets, reordered, supports
 from epiprior_lab.datasets import Pair
+from epiprior_lab.detection import detect_pair
 from epiprior_lab.evaluation import write_rows
 from epiprior_lab.ground_truth import LabelSettings, label_matches
 from epiprior_lab.parallel import Task, map_tasks
@@ -91,15 +91,16 @@ def analyse_pair(
     labels : LabelSettings
         When a match counts as right.
     """
-    features, factors = _detect(pair)
-    images = (pair.image1, pair.image2)
-    paper, default = (propose(images, features, find_preset(name), load_model(name)) for name in ("paper", "default"))
+    found = detect_pair(pair)
+    paper, default = (
+        propose(found.photographs, found.features, find_preset(name), load_model(name)) for name in ("paper", "default")
+    )
     whole = ranked_sets(default)
-    pixel = float(np.sqrt(factors[0] * factors[1]))
+    pixel = float(np.sqrt(found.pixel_factors[0] * found.pixel_factors[1]))
     bench = Bench(
         pair=pair,
         points=pair.control_points(),
-        factors=factors,
+        factors=found.pixel_factors,
         settings=settings,
         hand_overs=hand_overs,
         whole=tuple(oracles.Labelled(matches=s, right=_right(pair, s, labels), pixel=pixel) for s in whole),
@@ -116,18 +117,10 @@ def analyse_pair(
         results += [{**key, "experiment": "ablation", **names, **row} for row in rows]
     limits: list[Row] = []
     if complete:
-        found, limit = _oracles(bench, default)
-        results += [{**key, "experiment": "oracle", **row} for row in found]
+        oracle, limit = _oracles(bench, default)
+        results += [{**key, "experiment": "oracle", **row} for row in oracle]
         limits.append({**key, **limit})
     return PairAnalysis(results=results, rankings=rankings, limits=limits)
-
-
-def _detect(pair: Pair) -> tuple[tuple[Features, Features], tuple[float, float]]:
-    """Return the features of both images, the same for both presets, and given pixels per working pixel."""
-    settings = FeatureSettings()
-    photograph1, photograph2 = (load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2))
-    features = (detect_features(photograph1, settings), detect_features(photograph2, settings))
-    return features, (photograph1.factor, photograph2.factor)
 
 
 def _right(pair: Pair, m: MatchSet, labels: LabelSettings) -> BoolArray:

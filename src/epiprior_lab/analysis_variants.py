@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 
-from epiprior.features import Image
+from epiprior.features import View
 from epiprior.frames import MatchFrames
 from epiprior.hypothesis import Candidates, Votes, cast_votes, find_candidates
 from epiprior.models import RankingModel
@@ -53,7 +53,7 @@ class Proposals:
 
 
 def propose(
-    images: tuple[Image, Image],
+    images: tuple[View, View],
     features: tuple[Features, Features],
     settings: PreprocessSettings,
     model: RankingModel,
@@ -62,7 +62,7 @@ def propose(
 
     Parameters
     ----------
-    images : tuple of path or ndarray
+    images : tuple of path, ndarray or Photograph
         The photographs.
     features : tuple of Features
         Of both.

@@ -22,10 +22,10 @@ from pathlib import Path
 
 from epiprior.baselines import generalized_matches, snn_matches, standard_matches
 from epiprior.errors import SettingsError
-from epiprior.features import FeatureSettings, detect_features, load_photograph
 from epiprior.preprocess import rank_matches
 from epiprior.types import MatchSet
 from epiprior_lab.datasets import Pair
+from epiprior_lab.detection import detect_pair
 from epiprior_lab.parallel import Task, map_tasks
 
 WITHOUT = ("standard", "generalized")  # what an estimator gets without the preprocessing step
@@ -79,17 +79,16 @@ def match_pair(pair: Pair, inputs: Sequence[str]) -> PairMatches:
     unknown = [name for name in inputs if name not in INPUTS]
     if unknown:
         raise SettingsError(f"input is {unknown[0]!r}, known: {', '.join(INPUTS)}")
-    settings = FeatureSettings()
-    photo1, photo2 = (load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2))
-    # All inputs detect the same; they differ in how descriptors are normalised, and in what follows.
-    shared = {"features1": detect_features(photo1, settings), "features2": detect_features(photo2, settings)}
+    found = detect_pair(pair)
+    (photo1, photo2), (features1, features2) = found.photographs, found.features
     sets: dict[str, tuple[MatchSet, ...]] = {}
     for name in inputs:
         if name in _MAKERS:
-            sets[name] = (_MAKERS[name](photo1, photo2, **shared),)
+            sets[name] = (_MAKERS[name](photo1, photo2, features1=features1, features2=features2),)
         else:
-            sets[name] = rank_matches(photo1, photo2, preset=name, **shared).sets
-    return PairMatches(sets=sets, pixel_factors=(photo1.factor, photo2.factor))
+            ranked = rank_matches(photo1, photo2, preset=name, features1=features1, features2=features2)
+            sets[name] = ranked.sets
+    return PairMatches(sets=sets, pixel_factors=found.pixel_factors)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ never saw the scene.
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,6 +23,7 @@ from epiprior.probabilities import StandardTable, Union
 from epiprior.two_keypoints import TwoKeypointMatches
 from epiprior.types import BoolArray, Float32Array, FloatArray
 from epiprior_lab.datasets import Pair
+from epiprior_lab.detection import DetectedPair, detect_pair
 from epiprior_lab.ground_truth import LabelSettings, label_matches
 
 _T = TypeVar("_T")
@@ -80,40 +82,69 @@ class PairRows:
         return self.labels[self.two_keypoints.main] & self.labels[self.two_keypoints.other]
 
 
-def extract_rows(pair: Pair, preset: str, labels: LabelSettings | None = None) -> list[PairRows]:
-    """Run the library up to the first classifier, for every roll hypothesis, and label the matches."""
-    settings = find_preset(preset)
-    prepared = prepare_pair(pair.image1, pair.image2, settings)
-    out = []
-    for roll_deg in roll_hypotheses(prepared, settings):
-        candidates = hypothesis.find_candidates(prepared, roll_deg, settings)
-        united = hypothesis.unite_matches(prepared, candidates)
-        out.append(
-            PairRows(
-                pair_id=pair.pair_id,
-                scene=pair.scene,
-                preset=preset,
-                roll_deg=roll_deg,
-                frames=candidates.frames,
-                labels=_labels(pair, prepared, candidates.frames, labels),
-                two_keypoints=candidates.two_keypoints,
-                table=prepared.table,
-                united=united,
-                united_labels=_labels(pair, prepared, united.frames, labels),
-            )
+def extract_rows(pair: Pair, presets: Sequence[str], labels: LabelSettings | None = None) -> dict[str, list[PairRows]]:
+    """Run the library up to the first classifier and label the matches.
+
+    Parameters
+    ----------
+    pair : Pair
+        Pair with ground truth.
+    presets : sequence of str
+        Names; what they have in common is done once.
+    labels : LabelSettings, optional
+        When a match counts as right.
+
+    Returns
+    -------
+    dict of str to list of PairRows
+        Per preset, one for every roll hypothesis.
+    """
+    found = detect_pair(pair)
+    return {preset: _preset_rows(pair, found, preset, labels) for preset in presets}
+
+
+def _preset_rows(pair: Pair, found: DetectedPair, preset: str, settings: LabelSettings | None) -> list[PairRows]:
+    own = find_preset(preset)
+    features1, features2 = found.features
+    prepared = prepare_pair(*found.photographs, own, features1=features1, features2=features2)
+    rolls = roll_hypotheses(prepared, own)
+    candidates = [hypothesis.find_candidates(prepared, roll_deg, own) for roll_deg in rolls]
+    united = [hypothesis.unite_matches(prepared, each) for each in candidates]
+    frames = [*(each.frames for each in candidates), *(each.frames for each in united)]
+    labels = _labels(pair, prepared, frames, settings)
+    return [
+        PairRows(
+            pair_id=pair.pair_id,
+            scene=pair.scene,
+            preset=preset,
+            roll_deg=roll_deg,
+            frames=candidates[k].frames,
+            labels=labels[k],
+            two_keypoints=candidates[k].two_keypoints,
+            table=prepared.table,
+            united=united[k],
+            united_labels=labels[len(rolls) + k],
         )
-    return out
+        for k, roll_deg in enumerate(rolls)
+    ]
 
 
-def _labels(pair: Pair, prepared: PreparedPair, frames: MatchFrames, settings: LabelSettings | None) -> BoolArray:
-    """Label matches; the frames are in working pixels, the ground truth in pixels of the images as given."""
+def _labels(
+    pair: Pair, prepared: PreparedPair, frames: Sequence[MatchFrames], settings: LabelSettings | None
+) -> list[BoolArray]:
+    """Label matches, all at once: depth maps are slow to read.
+
+    The frames are in working pixels, the ground truth in pixels of the images as given.
+    """
     given, factors = [], []
-    for x, to_working in zip((frames.x1, frames.x2), prepared.to_working, strict=True):
+    x1, x2 = np.concatenate([f.x1 for f in frames]), np.concatenate([f.x2 for f in frames])
+    for x, to_working in zip((x1, x2), prepared.to_working, strict=True):
         inverse = np.linalg.inv(to_working)
         given.append(x @ inverse[:2, :2].T + inverse[:2, 2])
         factors.append(float(np.sqrt(inverse[0, 0] * inverse[1, 1])))
-    x1, x2 = given
-    return label_matches(pair, x1, x2, frames.scale1 * factors[0], frames.scale2 * factors[1], settings=settings)
+    scale1, scale2 = np.concatenate([f.scale1 for f in frames]), np.concatenate([f.scale2 for f in frames])
+    right = label_matches(pair, *given, scale1 * factors[0], scale2 * factors[1], settings=settings)
+    return np.split(right, np.cumsum([len(f) for f in frames])[:-1])
 
 
 def match_columns(preset: str) -> tuple[str, ...]:

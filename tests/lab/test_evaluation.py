@@ -20,7 +20,7 @@ from epiprior.models import load_model
 from epiprior.preprocess import rank_matches
 from epiprior.presets import find_preset
 from epiprior.types import MatchSet
-from epiprior_lab import evaluation, hand_over_search, matching, rankings
+from epiprior_lab import detection, evaluation, hand_over_search, matching, rankings
 from epiprior_lab.datasets import Camera, Pair, read_pair_set
 from epiprior_lab.ground_truth import LabelSettings
 from epiprior_lab.params import HandOverParams, WeightedParams
@@ -235,7 +235,7 @@ def test_features_are_detected_once_for_all_inputs(pairs, tiny_model, monkeypatc
         return detect_features(photograph, settings)
 
     wanted = {name: matching.match_pair(pairs[0], (name,)).sets[name] for name in ("snn", "generalized", "default")}
-    monkeypatch.setattr(matching, "detect_features", counted)
+    monkeypatch.setattr(detection, "detect_features", counted)
     monkeypatch.setattr(epiprior.pair, "detect_features", None)
     got = matching.match_pair(pairs[0], tuple(wanted)).sets
     assert len(detected) == 2
