@@ -7,7 +7,6 @@ never saw the scene.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -22,7 +21,7 @@ from epiprior.presets import PreprocessSettings, find_preset
 from epiprior.probabilities import StandardTable, Union
 from epiprior.two_keypoints import TwoKeypointMatches
 from epiprior.types import BoolArray, Float32Array, FloatArray
-from epiprior_lab.datasets import Pair
+from epiprior_lab.datasets import Pair, npz_bytes
 from epiprior_lab.detection import DetectedPair, detect_pair
 from epiprior_lab.ground_truth import LabelSettings, label_matches
 
@@ -143,7 +142,8 @@ def _labels(
         given.append(x @ inverse[:2, :2].T + inverse[:2, 2])
         factors.append(float(np.sqrt(inverse[0, 0] * inverse[1, 1])))
     scale1, scale2 = np.concatenate([f.scale1 for f in frames]), np.concatenate([f.scale2 for f in frames])
-    right = label_matches(pair, *given, scale1 * factors[0], scale2 * factors[1], settings=settings)
+    given1, given2 = given
+    right = label_matches(pair, given1, given2, scale1 * factors[0], scale2 * factors[1], settings=settings)
     return np.split(right, np.cumsum([len(f) for f in frames])[:-1])
 
 
@@ -204,10 +204,7 @@ def rows_to_bytes(rows: PairRows) -> bytes:
         **_flatten("union", rows.united.union),
         **_flatten("united_frames", rows.united.frames),
     }
-    buffer = io.BytesIO()
-    arrays: dict[str, Any] = {name: np.asarray(value) for name, value in columns.items()}
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
+    return npz_bytes({name: np.asarray(value) for name, value in columns.items()})
 
 
 def load_rows(folder: Path) -> list[PairRows]:

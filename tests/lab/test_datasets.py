@@ -17,6 +17,7 @@ from epiprior_lab.datasets import (
     fundamental_from_cameras,
     image_size,
     known_sets,
+    npz_bytes,
     read_depth,
     read_pair_set,
     reproject,
@@ -127,6 +128,24 @@ def test_encoded_depth_is_close_and_never_nearer_than_its_precision(tmp_path):
     got = read_depth(tmp_path / "d.npz")
     assert np.isinf(got[0, :2]).all()
     np.testing.assert_allclose(got[1:], depth[1:], rtol=1e-5)
+
+
+def test_an_archive_holds_its_arrays_and_is_the_same_each_time(tmp_path):
+    arrays = {
+        "ints": np.arange(20_000),
+        "text": np.array(["a", "bc"]),
+        "scalar": np.float32(3),
+        "none": np.empty((0, 4)),
+    }
+    content = npz_bytes(arrays)
+    assert content == npz_bytes(arrays)
+    assert len(content) < arrays["ints"].nbytes / 2
+    (tmp_path / "a.npz").write_bytes(content)
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as stored:
+        assert list(stored) == list(arrays)
+        for name, array in arrays.items():
+            np.testing.assert_array_equal(stored[name], array)
+            assert stored[name].dtype == array.dtype
 
 
 # --- errors name file and line

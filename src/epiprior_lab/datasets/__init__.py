@@ -1,5 +1,6 @@
 """The uniform pair-set format: photographs or rendered images in pairs, with ground truth."""
 
+from epiprior_lab.datasets.archives import npz_bytes
 from epiprior_lab.datasets.cameras import Camera, fundamental_from_cameras, reproject
 from epiprior_lab.datasets.files import DatasetError, encode_depth, read_depth
 from epiprior_lab.datasets.homographies import transfer, transfer_distance
@@ -25,6 +26,7 @@ __all__ = [
     "fundamental_from_cameras",
     "image_size",
     "known_sets",
+    "npz_bytes",
     "read_depth",
     "read_pair_set",
     "reproject",

@@ -12,6 +12,7 @@ import numpy as np
 
 from epiprior.errors import EpipriorError
 from epiprior.types import Float32Array, FloatArray
+from epiprior_lab.datasets.archives import npz_bytes
 from epiprior_lab.datasets.cameras import Camera, CameraError
 
 PAIR_COLUMNS = ("pair_id", "image1", "image2", "gt", "scene", "difficulty")
@@ -154,9 +155,7 @@ def encode_depth(depth: Float32Array) -> bytes:
     dropped = 23 - _KEPT_MANTISSA_BITS
     half, mask = np.uint32(1 << (dropped - 1)), np.uint32(0xFFFFFFFF ^ ((1 << dropped) - 1))
     rounded = np.where(np.isfinite(depth), (bits + half) & mask, bits).astype(np.uint32).view(np.float32)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, depth=rounded)
-    return buffer.getvalue()
+    return npz_bytes({"depth": rounded})
 
 
 def read_depth(path: Path) -> Float32Array:
