@@ -94,7 +94,7 @@ def train_preset(folder: Path, preset: str, params: TrainParams, *, workers: int
     )
     columns = find_preset(preset).two_keypoint_columns
     data = TargetRows.stack("two_keypoint", columns, samples)
-    first = _compare(data, params, caps, workers, store)
+    first = _compare(data, params, exported, caps, workers, store)
     settings = {**shared, "family": exported, "max_rows": caps[exported]}
     found = map_tasks(
         match_samples,
@@ -105,13 +105,17 @@ def train_preset(folder: Path, preset: str, params: TrainParams, *, workers: int
     )
     by_pair = {sample.pair: sample for fold in found for sample in fold}
     data = TargetRows.stack("match", match_columns(preset), [by_pair[sample.pair] for sample in samples])
-    return PresetTraining(family=exported, two_keypoint=first, match=_compare(data, params, caps, workers, store))
+    second = _compare(data, params, exported, caps, workers, store)
+    return PresetTraining(family=exported, two_keypoint=first, match=second)
 
 
-def _compare(data: TargetRows, params: TrainParams, caps: Mapping[str, int], workers: int, store: Path) -> Comparison:
+def _compare(
+    data: TargetRows, params: TrainParams, exported: str, caps: Mapping[str, int], workers: int, store: Path
+) -> Comparison:
     return compare_families(
         data,
         families=params.families,
+        exported=exported,
         folds=params.folds,
         seed=child_seed(params.seed, data.target),
         max_rows=caps,

@@ -49,8 +49,10 @@ class TrackedFamily:
         Which classifier of which model.
     exported : bool
         Whether this family is the one that the preset ships.
-    grouped, ungrouped : CrossValidation
-        Both cross-validations of the family.
+    grouped : CrossValidation
+        By scene.
+    ungrouped : CrossValidation or None
+        By row; of an exported family only.
     labels : ndarray, shape (N,), bool
         Labels of their rows.
     importances : ndarray, shape (C,), float64, or None
@@ -67,7 +69,7 @@ class TrackedFamily:
     preset: str
     exported: bool
     grouped: CrossValidation
-    ungrouped: CrossValidation
+    ungrouped: CrossValidation | None
     labels: BoolArray
     importances: FloatArray | None
     onnx: bytes
@@ -218,7 +220,8 @@ def _log_family(client: Any, root: Path, family: TrackedFamily) -> None:
     run_name = f"{family.preset}-{family.grouped.family}"
     run = client.create_run(experiment, run_name=run_name, tags=tags).info.run_id
     deviations = {f"{key}.deviation": value for key, value in family.grouped.deviations().items()}
-    others = {f"ungrouped.{key}": value for key, value in family.ungrouped.metrics.items()}
+    leaky = {} if family.ungrouped is None else family.ungrouped.metrics
+    others = {f"ungrouped.{key}": value for key, value in leaky.items()}
     others |= {f"calibrated.{key}": value for key, value in family.grouped.calibrated_metrics.items()}
     seconds = family.grouped.seconds_per_10000_rows
     timing = {"seconds_per_10000_rows": sum(seconds) / len(seconds)}
@@ -284,6 +287,8 @@ def _precision_recall_figure(family: TrackedFamily) -> Figure:
     figure = Figure(figsize=(5, 4), layout="constrained")
     axes = figure.add_subplot(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1))
     for label, item in (("grouped by scene", family.grouped), ("ungrouped", family.ungrouped)):
+        if item is None:
+            continue
         precision, recall, _ = precision_recall(item.probability, family.labels)
         step = max(1, len(precision) // _CURVE_POINTS)
         axes.plot(recall[::step], precision[::step], label=label)

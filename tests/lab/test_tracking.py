@@ -27,7 +27,7 @@ def tracked(target="two_keypoint", family="tree", preset="paper", exported=True)
         preset=preset,
         exported=exported,
         grouped=grouped,
-        ungrouped=ungrouped,
+        ungrouped=ungrouped if exported else None,
         labels=ROWS.y,
         importances=final.importances(),
         onnx=to_onnx(final),
@@ -89,6 +89,8 @@ def test_metrics_of_the_parent(store):
     assert run.data.params["columns"] == "count, ratio, angle, level, noise"
     assert run.data.params["folds"] == "3"
     assert run.data.tags["exported"] == "true"
+    (other,) = runs_of(store, "match", "tags.family = 'svm'")
+    assert run.data.metrics.keys() - other.data.metrics.keys() >= {f"ungrouped.{name}" for name in METRICS}
 
 
 @pytest.mark.parametrize(

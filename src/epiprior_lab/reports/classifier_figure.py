@@ -60,7 +60,7 @@ def _bars(axis: Axes, part: pd.DataFrame) -> None:
     y = np.arange(len(families))[::-1]
     for offset, name, colour, label in (
         (0.2, "grouped", "#0072b2", "folds by scene"),
-        (-0.2, "ungrouped", "#e3a76f", "folds by row, as in the paper: leaks"),
+        (-0.2, "ungrouped", "#e3a76f", "folds by row, as in the paper: leaks (exported family)"),
     ):
         values = part.set_index("family").loc[families]
         width = values[name].to_numpy(np.float64)

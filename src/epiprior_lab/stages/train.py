@@ -47,7 +47,7 @@ def _tracked(
             preset=preset,
             exported=family == trained.family,
             grouped=grouped,
-            ungrouped=comparison.ungrouped[family],
+            ungrouped=comparison.ungrouped.get(family),
             labels=data.labels,
             importances=comparison.refits[family].importances,
             onnx=comparison.refits[family].onnx,
