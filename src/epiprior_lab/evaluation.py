@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from epiprior.estimate import estimate_from_matches
 from epiprior.estimators import find_estimator
@@ -74,9 +73,10 @@ class PairEvaluation:
 
 def write_rows(rows: Sequence[Row], path: Path) -> None:
     """Write rows of equal keys as CSV: seven significant digits, empty cells for NaN and None."""
+    import pandas as pd  # slow to load, and workers, which import this module, write nothing
+
     path.parent.mkdir(parents=True, exist_ok=True)
-    frame = pd.DataFrame(rows)
-    frame.to_csv(path, index=False, float_format="%.7g", lineterminator="\n")
+    pd.DataFrame(rows).to_csv(path, index=False, float_format="%.7g", lineterminator="\n")
 
 
 def estimate_row(
