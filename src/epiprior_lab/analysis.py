@@ -14,7 +14,7 @@ On some pairs of a family, with several seeds:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -242,10 +242,9 @@ def _in_x(candidates: Candidates, labelled: oracles.Labelled) -> oracles.Labelle
 
 
 def analyse_pairs(
-    pairs: Sequence[Pair],
+    families: Mapping[str, Sequence[Pair]],
     *,
-    family: str,
-    complete: bool,
+    complete: Collection[str],
     settings: AnalysisSettings,
     hand_overs: HandOvers,
     labels: LabelSettings,
@@ -257,9 +256,11 @@ def analyse_pairs(
 
     Parameters
     ----------
-    pairs : sequence of Pair
-        Pairs of one set.
-    family, complete, settings, hand_overs, labels
+    families : mapping of str to sequence of Pair
+        Pairs of each family.
+    complete : collection of str
+        The families that are analysed completely.
+    settings, hand_overs, labels
         As for `analyse_pair`.
     files : sequence of Path
         What decides every pair beside its own images: the model files.
@@ -268,12 +269,17 @@ def analyse_pairs(
     """
     names = (settings.estimator, settings.beyond, *settings.others)
     common = {
-        "family": family,
-        "complete": complete,
         "settings": settings,
         "hand_overs": {name: dict(hand_overs[name]) for name in names},
         "labels": labels,
     }
-    tasks = [Task(name=pair.pair_id, payload={"pair": pair, **common}, files=(*pair.files, *files)) for pair in pairs]
-    parts = map_tasks(analyse_pair, tasks, workers=workers, description=f"analyse {family}", store=store)
-    return PairAnalysis.join(parts)
+    tasks = [
+        Task(
+            name=f"{family} {pair.pair_id}",
+            payload={"pair": pair, "family": family, "complete": family in complete, **common},
+            files=(*pair.files, *files),
+        )
+        for family, pairs in families.items()
+        for pair in pairs
+    ]
+    return PairAnalysis.join(map_tasks(analyse_pair, tasks, workers=workers, description="analyse", store=store))

@@ -71,10 +71,15 @@ def analysed(pairs, model):
         patch.setattr(analysis, "find_preset", PRESETS.__getitem__)
         hand_overs = load_hand_overs(None)
         common = {"settings": SETTINGS, "hand_overs": hand_overs, "labels": LabelSettings()}
-        return [
-            analysis.analyse_pairs(pairs, family="relief", complete=True, **common),
-            analysis.analyse_pairs(pairs[1:], family="easy", complete=False, **common),
-        ]
+        both = analysis.analyse_pairs({"relief": pairs, "easy": pairs[1:]}, complete=("relief",), **common)
+        return [of_family(both, name) for name in ("relief", "easy")]
+
+
+def of_family(found, name):
+    """Return the rows of one family."""
+    return analysis.PairAnalysis(
+        **{part: [row for row in rows if row["family"] == name] for part, rows in vars(found).items()}
+    )
 
 
 @pytest.fixture(scope="module")

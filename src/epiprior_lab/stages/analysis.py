@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from epiprior.handover import load_hand_overs
-from epiprior_lab.analysis import PairAnalysis, analyse_pairs
+from epiprior_lab.analysis import analyse_pairs
 from epiprior_lab.analysis_bench import AnalysisSettings
 from epiprior_lab.evaluation import study_pairs
 from epiprior_lab.ground_truth import LabelSettings
@@ -36,21 +36,20 @@ def main() -> None:
         success_px=params.report.success_px,
     )
     hand_overs = load_hand_overs(Path("models/hand_over.json"))
-    parts = [
-        analyse_pairs(
-            study_pairs("test", family)[: own.pairs_per_family],
-            family=family,
-            complete=family in bounds.hard_families,
-            settings=settings,
-            hand_overs=hand_overs,
-            labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
-            files=model_files(Path("models"), PRESETS),
-            workers=default_workers(),
-            store=Path("data/.tasks/analysis") / family,
-        )
-        for family in (*bounds.hard_families, *bounds.easy_families)
-    ]
-    PairAnalysis.join(parts).write(DATA)
+    analysis = analyse_pairs(
+        {
+            family: study_pairs("test", family)[: own.pairs_per_family]
+            for family in (*bounds.hard_families, *bounds.easy_families)
+        },
+        complete=bounds.hard_families,
+        settings=settings,
+        hand_overs=hand_overs,
+        labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
+        files=model_files(Path("models"), PRESETS),
+        workers=default_workers(),
+        store=Path("data/.tasks/analysis"),
+    )
+    analysis.write(DATA)
     families = params.scenes.families
     with single_threaded():
         write_analysis(

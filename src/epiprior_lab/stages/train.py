@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import asdict
 from pathlib import Path
 
 from epiprior_lab.classifiers import Comparison
 from epiprior_lab.model_training import PresetTraining, train_preset
 from epiprior_lab.parallel import default_workers
-from epiprior_lab.params import load_params
+from epiprior_lab.params import TrainParams, load_params
 from epiprior_lab.tracking import TrackedFamily, track
 from epiprior_lab.training_tables import seconds_csv, write_training
 
 
 def main() -> None:
-    """Write ``data/training/<preset>/`` and ``data/timings/train-<preset>.csv``."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--preset", required=True, choices=("paper", "default"))
-    preset = parser.parse_args().preset
-    params = load_params().train
+    """Write ``data/training/<preset>/`` and ``data/timings/train-<preset>.csv`` for every preset."""
+    params = load_params()
+    for preset in params.features.presets:
+        _train(preset, params.train)
+
+
+def _train(preset: str, params: TrainParams) -> None:
     trained = train_preset(
         Path("data/features") / preset,
         preset,
