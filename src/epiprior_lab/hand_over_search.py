@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from epiprior.handover import HandOver, default_hand_over, hand_over
-from epiprior.types import FloatArray
+from epiprior.types import EMPTY_MAPPING, FloatArray
 from epiprior_lab.datasets import Pair
 from epiprior_lab.evaluation import EstimatorInputs, estimate_row, is_deterministic, match_folder
 from epiprior_lab.matching import MatchFiles, PairMatches, store_matches
@@ -119,6 +119,7 @@ def candidate_errors(
     estimator: str,
     candidates: Sequence[tuple[str, HandOver]],
     seeds: Sequence[int],
+    known: Mapping[str, tuple[HandOver, Sequence[float]]] = EMPTY_MAPPING,
 ) -> FloatArray:
     """Return the errors of all candidates of one estimator on one pair.
 
@@ -134,6 +135,9 @@ def candidate_errors(
         What is tried.
     seeds : sequence of int
         As in the evaluation.
+    known : mapping of str to (HandOver, sequence of float)
+        Per input, a hand-over that was tried before, and its errors: nothing runs again for a candidate that comes to
+        the same.
 
     Returns
     -------
@@ -144,11 +148,11 @@ def candidate_errors(
     sets = matches.read()
     different = seeds[:1] if is_deterministic(estimator) else seeds
     errors = np.full((len(candidates), len(seeds)), np.nan)
-    known: dict[tuple[Any, ...], list[float]] = {}
+    found = {(name, _effect(sets, name, how)): list(before) for name, (how, before) in known.items()}
     for i, (name, how) in enumerate(candidates):
         same = (name, _effect(sets, name, how))
-        if same not in known:
-            known[same] = [
+        if same not in found:
+            found[same] = [
                 estimate_row(
                     sets,
                     points,
@@ -159,7 +163,7 @@ def candidate_errors(
                 )["error_px"]
                 for seed in different
             ]
-        errors[i] = known[same]  # a single run stands for all seeds
+        errors[i] = found[same]  # a single run stands for all seeds
     return errors
 
 
@@ -208,11 +212,13 @@ def search_hand_overs(
             description="match validation pairs", resume=store is not None,
         )  # fmt: skip
 
-        def run(planned: Mapping[str, list[tuple[str, HandOver]]], step: int) -> dict[str, FloatArray]:
+        def run(
+            planned: Mapping[str, list[tuple[str, HandOver]]], best: Mapping[Place, Trial], step: int
+        ) -> dict[str, FloatArray]:
             tasks = [
-                _task(pair, matches, estimator, candidates, params.seeds, step)
+                _task(pair, matches, estimator, candidates, params.seeds, _known(best, estimator, candidates, k), step)
                 for estimator, candidates in planned.items()
-                for pair, matches in zip(pairs, matched, strict=True)
+                for k, (pair, matches) in enumerate(zip(pairs, matched, strict=True))
             ]
             description = f"hand-over, step {step + 1}"
             errors = map_tasks(candidate_errors, tasks, workers=workers, description=description, store=store)
@@ -228,6 +234,7 @@ def _task(
     estimator: str,
     candidates: list[tuple[str, HandOver]],
     seeds: Sequence[int],
+    known: Mapping[str, tuple[HandOver, Sequence[float]]],
     step: int,
 ) -> Task:
     needed = matches.only(tuple(dict.fromkeys(name for name, _ in candidates)))
@@ -239,17 +246,30 @@ def _task(
             "estimator": estimator,
             "candidates": tuple(candidates),
             "seeds": tuple(seeds),
+            "known": known,
         },
         files=(*pair.files, *needed.paths.values()),
     )
 
 
+def _known(
+    best: Mapping[Place, Trial], estimator: str, candidates: Sequence[tuple[str, HandOver]], pair: int
+) -> dict[str, tuple[HandOver, tuple[float, ...]]]:
+    """Return what `candidate_errors` is told of the best trials so far, for one pair."""
+    names = {name for name, _ in candidates if (estimator, name) in best}
+    trials = {name: best[estimator, name] for name in sorted(names)}
+    return {name: (trial.how, tuple(trial.errors_px[pair].tolist())) for name, trial in trials.items()}
+
+
 def _search(
     inputs: EstimatorInputs,
     params: HandOverParams,
-    run: Callable[[Mapping[str, list[tuple[str, HandOver]]], int], dict[str, FloatArray]],
+    run: Callable[[Mapping[str, list[tuple[str, HandOver]]], Mapping[Place, Trial], int], dict[str, FloatArray]],
 ) -> tuple[dict[Place, Trial], list[Trial]]:
-    """Vary one setting after the other; `run` returns errors of shape (candidates, pairs, seeds) per estimator."""
+    """Vary one setting after the other; `run` returns errors of shape (candidates, pairs, seeds) per estimator.
+
+    It is told the best trials so far, to which some candidates come down on some pairs.
+    """
     varied = {(e, name): coordinates(e, name, params) for e, names in inputs.items() for name in names}
     best: dict[Place, Trial] = {}
     trials: list[Trial] = []
@@ -258,7 +278,7 @@ def _search(
         for place, settings in varied.items():
             for how in _variations(place, settings, step, best.get(place)):
                 planned.setdefault(place[0], []).append((place[1], how))
-        for estimator, errors in (run(planned, step) if planned else {}).items():
+        for estimator, errors in (run(planned, best, step) if planned else {}).items():
             for (name, how), e in zip(planned[estimator], errors, strict=True):
                 place = (estimator, name)
                 trial = Trial(estimator=estimator, input=name, step=varied[place][step][0], how=how, errors_px=e)

@@ -146,7 +146,7 @@ def test_a_changed_hand_over_leaves_other_estimators_as_they_are(pairs, hand_ove
 
     evaluation_row = evaluation.estimate_row
     monkeypatch.setattr(evaluation, "estimate_row", counted)
-    monkeypatch.setattr(matching, "load_photograph", None)  # nothing is matched again
+    monkeypatch.setattr(matching, "detect_pair", None)  # nothing is matched again
     changed = {**hand_overs, "usac": {**hand_overs["usac"], "snn": HandOver(threshold_px=2.5)}}
     evaluate(pairs[:1], changed, store=tmp_path)
     assert set(calls) == {("usac", name) for name in INPUTS["usac"]}
@@ -418,3 +418,39 @@ def test_equal_matches_are_estimated_once(pairs, monkeypatch, tmp_path):
                 hand_over=how,
             )
             assert row["error_px"] == error
+    # What an earlier step found for the same matches, threshold and refinement is not run again either.
+    calls.clear()
+    again = hand_over_search.candidate_errors(
+        pair=pairs[0],
+        matches=files,
+        estimator="usac",
+        candidates=candidates,
+        seeds=(0, 1),
+        known={"snn": (replace(how, top_k=9_999), (11.0, np.nan))},
+    )
+    assert len(calls) == 3 * 2
+    np.testing.assert_array_equal(again[:3], [[11.0, np.nan]] * 3)
+    np.testing.assert_array_equal(again[3:], got[3:])
+
+
+def test_a_step_of_the_search_knows_the_best_of_the_one_before(pairs, monkeypatch):
+    told = []
+
+    def candidate_errors(*, pair, matches, estimator, candidates, seeds, known):
+        told.append((pair.pair_id, estimator, known))
+        return np.array([[len(told) + len(str(how))] * len(seeds) for _, how in candidates], float)
+
+    def map_tasks(function, tasks, **options):
+        return [function(**task.payload) for task in tasks]
+
+    monkeypatch.setattr(matching, "match_pair", no_matches)
+    monkeypatch.setattr(hand_over_search, "candidate_errors", candidate_errors)
+    monkeypatch.setattr(hand_over_search, "map_tasks", map_tasks)
+    _, trials = hand_over_search.search_hand_overs(pairs, inputs={"usac": ("standard", "snn")}, params=PARAMS)
+    first = [known for _, _, known in told[: len(pairs)]]
+    assert first == [{}] * len(pairs)
+    for number, (_, _, known) in enumerate(told[len(pairs) : 2 * len(pairs)]):
+        assert set(known) == {"standard", "snn"}
+        for name, (how, errors) in known.items():
+            (trial,) = [t for t in trials if t.input == name and t.how == how]
+            assert errors == tuple(trial.errors_px[number])
