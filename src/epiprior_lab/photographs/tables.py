@@ -230,10 +230,10 @@ def pair_table(photographs: Photographs) -> pd.DataFrame:
     table = photographs.results.assign(
         scene=photographs.results["scene"].str.partition("/")[2],
         pose_deg=photographs.results[["rotation_deg", "translation_deg"]].max(axis=1, skipna=False),
-        ok=photographs.results["status"] == "ok",
+        has_F=photographs.results["error_px"].notna(),
     )
     grouped = table.groupby(keys, sort=False)
-    means = grouped.agg(found=("ok", "sum"), distance=("distance", "mean"), pose_deg=("pose_deg", "mean"))
+    means = grouped.agg(found=("has_F", "sum"), distance=("distance", "mean"), pose_deg=("pose_deg", "mean"))
     errors = table.pivot_table(index=keys, columns="seed", values="error_px", sort=False, dropna=False, aggfunc="first")
     errors.columns = pd.Index([f"error_px_{seed}" for seed in errors.columns])
     wide = means[["found"]].join(errors).join(means[["distance", "pose_deg"]]).reset_index()
