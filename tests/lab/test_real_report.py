@@ -253,7 +253,7 @@ def test_pages_are_whole_and_the_committed_one_shows_no_photograph(out, cases):
             assert link[1:] in page.ids
         elif not link.startswith("timings/"):
             assert (out / link).is_file(), link
-    assert len(page.images) == 4 + 2 * len(cases)
+    assert len(page.images) == 5 + 2 * len(cases)
     for image in page.images:
         assert (out / image).is_file()
         assert (out / image).suffix == ".png"

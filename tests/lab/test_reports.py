@@ -306,7 +306,7 @@ def test_page_is_whole(root, written):
     page = Page(text)
     assert not page.open
     sections = ["summary", "bounds", "scenes", "example", "successes", "duels", "analysis", "cascade", "rankings"]
-    sections += ["roll", "calibration", "classifiers", "hand-over", "time", "method"]
+    sections += ["roll", "calibration", "classifiers", "hand-over", "verdict", "time", "method"]
     assert page.ids == sections
     inside = [link for link in page.links if link.startswith("#")]
     assert [link[1:] for link in inside] == sections

@@ -23,6 +23,7 @@ from epiprior_lab.photographs.truth import SPLITS, UNLABELLED
 from epiprior_lab.reports.performance import interval_cells
 from epiprior_lab.reports.study import order_of
 from epiprior_lab.reports.tables import calibration_sums
+from epiprior_lab.reports.verdicts import verdict_table
 from epiprior_lab.seeds import child_seed
 from epiprior_lab.statistics import bootstrap_mean, paired_bootstrap, success_curve
 
@@ -42,6 +43,7 @@ class Tables:
     calibration: pd.DataFrame
     cascade: pd.DataFrame
     estimators: pd.DataFrame
+    verdicts: pd.DataFrame
 
 
 def set_table(photographs: Photographs) -> pd.DataFrame:
@@ -215,6 +217,13 @@ def calibration_table(photographs: Photographs) -> pd.DataFrame:
             row |= {"brier_score": sums.brier_score, "expected_calibration_error": sums.expected_calibration_error}
             rows.append(row)
     return pd.DataFrame(rows)
+
+
+def group_verdicts(photographs: Photographs, threshold_px: float) -> pd.DataFrame:
+    """Return what the verdict makes of right and of wrong F, by group: see `epiprior_lab.reports.verdicts`."""
+    results = photographs.results
+    members = {group: set(photographs.pairs["pair"][member]) for group, member in photographs.groups.items()}
+    return verdict_table({group: results[results["pair"].isin(own)] for group, own in members.items()}, threshold_px)
 
 
 def pair_table(photographs: Photographs) -> pd.DataFrame:
