@@ -152,6 +152,12 @@ def why_degenerate(
     matches by a few pixels. Of made-up ones, with 10 to 30 % of the matches shifted by about 2 to 12 px, it turns down
     24 % of the F with an error below 5 px (19 % before).
 
+    Checked once, after the choice, on 63 pairs of real photographs (MAGSAC++ on X_L, `snn` and ranked matches): 38 of
+    494 F with an error below 10 px are turned down (44 before), more than on rendered pairs. Most of them have a wrong
+    epipole nevertheless, since control points on the plane do not show it (24 of the 38 are off by more than 15 degrees
+    in the direction of translation). Of the 353 near the true F (normalised symmetric distance below 0.02) 6 are turned
+    down (7 before).
+
     Points on one line, in either image, are treated likewise: the line's matches fix at most three of F's
     seven parameters, so more than four matches beside it are needed than chance gives.
 

@@ -23,7 +23,8 @@ TURNED_DOWN = (Status.NO_MODEL, Status.DEGENERATE)
 NOTE = (
     "An estimator is judged by its F, whatever the verdict says. The verdict is judged here, over the runs of all\n"
     "estimators that gave an F: right ones (error below {threshold:g} px) that it turns down, as `no_model` or\n"
-    "`degenerate`, are false alarms, wrong ones are hits."
+    "`degenerate`, are false alarms, wrong ones are hits. Control points near one plane do not show a wrong epipole:\n"
+    "there, an alarm that counts as false may be none."
 )
 
 
