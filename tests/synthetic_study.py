@@ -58,7 +58,8 @@ def _results(rng, keys, seeds):
                             "estimator": estimator,
                             "input": name,
                             "seed": seed,
-                            "status": "no_model" if none else "ok",
+                            # The verdict knows nothing of the truth here.
+                            "status": "no_model" if none else "degenerate" if int(1e6 * error) % 9 == 0 else "ok",
                             "support": 0 if none else 50,
                             "iterations": 100,
                             "error_px": np.nan if none else error,

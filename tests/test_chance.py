@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-from epiprior.chance import beyond_chance, chance_rate, distinct_count
+from epiprior.chance import HYPOTHESES, beyond_chance, chance_rate, distinct_count, expected_by_chance
 from epiprior.geometry import sampson_distance
 from synthetic import make_pair
 
@@ -66,3 +69,27 @@ def test_what_the_sample_explains_anyway_is_chance(supporters, matches):
 
 def test_a_certain_rate_is_always_chance():
     assert not beyond_chance(100, 100, 1.0, fitted=7)
+
+
+def test_rates_of_their_own_follow_the_law_of_their_sum():
+    """Twin: all outcomes of six matches, the two least probable supporters left out as those that made it."""
+    rates = np.array([0.5, 0.02, 0.3, 0.9, 0.1, 0.2, 0.05, 0.4])
+    agrees = np.array([1, 1, 0, 1, 0, 1, 1, 0], np.bool_)
+    left = np.array([0.5, 0.3, 0.9, 0.1, 0.2, 0.4])
+    outcomes = np.array(list(itertools.product([0, 1], repeat=6)))
+    weights = np.prod(np.where(outcomes == 1, left, 1 - left), axis=1)
+    expected = math.comb(8, 2) * weights[outcomes.sum(axis=1) >= 3].sum()
+    assert expected_by_chance(agrees, rates, fitted=2) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("supporters", [8, 13, 40])
+def test_equal_rates_are_the_binomial_law(supporters):
+    agrees = np.arange(100) < supporters
+    found = expected_by_chance(agrees, np.full(100, 0.05), fitted=7)
+    assert found == pytest.approx(HYPOTHESES * binom.sf(supporters - 8, 93, 0.05), rel=1e-9)
+
+
+def test_what_made_the_hypothesis_is_expected_always():
+    assert expected_by_chance(np.arange(9) < 2, np.full(9, 0.1), fitted=2) == math.inf
+    assert expected_by_chance(np.zeros(0, np.bool_), np.zeros(0), fitted=2) == math.inf
+    assert expected_by_chance(np.ones(9, np.bool_), np.ones(9), fitted=2) == math.comb(9, 2)

@@ -5,10 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from epiprior.degeneracy import fit_homography, homography_distance, why_degenerate
+from epiprior.degeneracy import (
+    DecidedLevels,
+    PlaneEvidence,
+    fit_homography,
+    homography_distance,
+    why_degenerate,
+)
 from epiprior.estimators import fit
+from epiprior.geometry import sampson_distance
 from epiprior.types import FloatArray, MatchSet
-from synthetic import make_matches, make_pair, project, rotation
+from synthetic import make_matches, make_pair, project, rotation, skew
 
 
 def why(matches: MatchSet, name: str = "usac") -> str:
@@ -42,6 +49,62 @@ def test_noise_on_a_plane_is_no_relief():
     assert np.mean(alarms) >= 0.7
 
 
+@pytest.mark.parametrize("scene", ["plane", "rotation"])
+def test_a_plane_of_few_matches_among_many_wrong_ones_raises_it_too(scene):
+    for inliers, outliers in ((20, 10), (20, 100), (40, 100), (80, 100), (80, 500), (200, 500)):
+        assert "homography" in why(make_pair(scene=scene, inliers=inliers, outliers=outliers, order=2.0).matches)
+
+
+def inaccurate(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A plane with one of the F that it allows, and 60 matches that lie 5 to 12 px off it in any direction."""
+    rng = np.random.default_rng(seed)
+    matches = make_pair(scene="plane", outliers=20, seed=seed).matches
+    H = fit_homography(matches.x1, matches.x2, 4.0)
+    assert H is not None
+    x1 = rng.uniform([100, 100], [900, 650], (60, 2))
+    angle, length = rng.uniform(0, 2 * np.pi, 60), rng.uniform(5, 12, 60)
+    x2 = np.column_stack([x1, np.ones(60)]) @ H.T
+    x2 = x2[:, :2] / x2[:, 2:] + length[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    epipole = np.append(rng.uniform(-2000, 3000, 2), 1.0)
+    return skew(epipole) @ H, np.concatenate([matches.x1, x1]), np.concatenate([matches.x2, x2])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_matches_of_the_plane_that_are_inaccurate_do_not_decide(seed):
+    F, x1, x2 = inaccurate(seed)
+    near = sampson_distance(F, x1[-60:], x2[-60:]) < 1.5
+    assert near.sum() >= 8  # many more than of random matches
+    assert "homography" in why_degenerate(F, x1, x2)
+
+
+def test_a_feature_with_a_match_on_the_plane_has_no_other():
+    """Rivals of matches on the plane agree with F; alone they would decide it."""
+    pair = make_pair(scene="plane", outliers=40)
+    right = pair.matches.take(pair.right)
+    rivals = _on_epipolar_lines(pair.F, right.x1[:40])
+    x1, x2 = np.concatenate([pair.matches.x1, right.x1[:40]]), np.concatenate([pair.matches.x2, rivals])
+    assert "homography" in why_degenerate(pair.F, x1, x2)
+    x1[-40:] += np.array([7.0, 0.0])  # as features of their own
+    x2[-40:] = _on_epipolar_lines(pair.F, x1[-40:])
+    assert why_degenerate(pair.F, x1, x2) == ""
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("outliers", [30, 200])
+def test_few_right_matches_of_relief_raise_none(outliers, seed):
+    pair = make_pair(inliers=25, outliers=outliers, seed=seed)
+    assert why_degenerate(pair.F, pair.matches.x1, pair.matches.x2) == ""
+
+
+def test_levels_decide_what_is_proof():
+    found = PlaneEvidence(on_plane=90, off_plane=10, expected=3.0, parallax=1e-3)
+    assert not found.decides()
+    assert found.decides(DecidedLevels(expected=4.0))
+    assert found.decides(DecidedLevels(parallax=1e-2))
+    assert found.decides(DecidedLevels(off_plane_share=0.05))
+    assert not found.decides(DecidedLevels(off_plane_share=0.1))
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("size", [{"inliers": 200, "outliers": 100}, {"inliers": 20, "outliers": 20}])
 def test_relief_raises_none(size, seed):
@@ -63,7 +126,8 @@ def test_two_matches_off_the_plane_do_not(seed):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_facade_with_recessed_windows_raises_none(seed):
-    assert why(facade(0.4, 0.3, seed)) == ""
+    matches = facade(0.4, 0.3, seed)
+    assert why_degenerate(make_pair().F, matches.x1, matches.x2) == ""
 
 
 def test_relief_below_the_threshold_of_the_plane_is_seen_by_its_direction():

@@ -151,6 +151,21 @@ def test_a_plane_with_something_before_it_is_ok_and_without_is_not():
     assert estimate_from_matches([flat], estimator="usac", hand_over=PAPER).status is Status.DEGENERATE
 
 
+def test_what_the_verdict_turns_down_is_handed_out_beside():
+    plane, relief = make_pair(scene="plane").matches, make_pair()
+    for estimate in (estimate_from_matches([plane], estimator="usac", hand_over=PAPER), run("usac", plane)):
+        assert estimate.status is Status.DEGENERATE
+        assert estimate.F is None
+        assert estimate.raw_F is not None
+        assert np.linalg.norm(estimate.raw_F) == pytest.approx(1.0)
+        assert np.median(sampson_distance(estimate.raw_F, plane.x1, plane.x2)) < 2.0
+        assert not estimate.inliers.any()
+    found = estimate_from_matches([relief.matches], estimator="usac", hand_over=FULL, pixel_factors=(2.0, 3.0))
+    assert np.array_equal(found.raw_F, found.F)
+    nothing = estimate_from_matches([relief.matches.take(slice(5))], estimator="usac", hand_over=PAPER)
+    assert nothing.raw_F is None
+
+
 def test_same_seed_same_bytes():
     pair = hard_pair()
     a, b = (

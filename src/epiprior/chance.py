@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import bdtrc
 
 from epiprior.geometry import sampson_distance
-from epiprior.types import FloatArray
+from epiprior.types import BoolArray, FloatArray
 
 HYPOTHESES = 100_000
 _PAIRINGS = 20_000
@@ -92,5 +92,43 @@ def beyond_chance(supporters: int, matches: int, rate: float, fitted: int, *, le
     free = matches - fitted
     if supporters <= fitted or free <= 0:
         return False
-    drawn = min(float(math.comb(matches, fitted)), float(HYPOTHESES))
-    return bool(drawn * bdtrc(supporters - fitted - 1, free, rate) < level)
+    return bool(_drawn(matches, fitted) * bdtrc(supporters - fitted - 1, free, rate) < level)
+
+
+def expected_by_chance(agrees: BoolArray, rates: FloatArray, fitted: int) -> float:
+    """Return how many random hypotheses are expected to have as many supporters; each match has a rate of its own.
+
+    Parameters
+    ----------
+    agrees : ndarray, shape (N,), bool
+        Which matches agree with the hypothesis. N = 0 is allowed.
+    rates : ndarray, shape (N,), float64
+        Probability of each that it agrees with a hypothesis it did not make, in [0, 1].
+    fitted : int
+        Matches that make a hypothesis and agree with it for free: of those that agree, the least probable.
+
+    Returns
+    -------
+    float
+        In [0, `HYPOTHESES`]; ``inf`` where no more matches agree than make a hypothesis. What `beyond_chance` compares
+        with its level, for rates that are all alike.
+    """
+    supporters = np.flatnonzero(agrees)
+    if len(supporters) <= fitted:
+        return math.inf
+    made_it = supporters[np.argsort(rates[supporters], kind="stable")[:fitted]]
+    wanted = len(supporters) - fitted
+    # Law of the number of supporters, all from `wanted` on in the last entry: one match after the other.
+    law = np.zeros(wanted + 1)
+    law[0] = 1.0
+    for rate in np.delete(rates, made_it):
+        last = law[-1] + rate * law[-2]
+        law[1:] += rate * (law[:-1] - law[1:])
+        law[0] *= 1.0 - rate
+        law[-1] = last
+    return float(_drawn(len(rates), fitted) * law[-1])
+
+
+def _drawn(matches: int, fitted: int) -> float:
+    """Return how many hypotheses can be drawn, up to `HYPOTHESES`."""
+    return min(float(math.comb(matches, fitted)), float(HYPOTHESES))

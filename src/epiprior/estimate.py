@@ -82,17 +82,17 @@ def estimate_from_matches(
     tried = [_try(matches, estimator, seed, hand_over, options) for matches in scaled]
     best = max(tried, key=lambda hypothesis: hypothesis.score)
     status, message = _verdict(tried, best, options.threshold_px)
-    collected, F = best.collected, best.F if status is Status.OK else None
+    collected, raw_F = best.collected, None if best.F is None else _to_given_pixels(best.F, pixel_factors)
     inliers = np.zeros(len(collected), dtype=np.bool_)
-    if F is not None:
-        inliers = sampson_distance(F, collected.x1, collected.x2) < options.threshold_px
-        F = _to_given_pixels(F, pixel_factors)
+    if best.F is not None and status is Status.OK:
+        inliers = sampson_distance(best.F, collected.x1, collected.x2) < options.threshold_px
     given = _scale(collected, *pixel_factors)
     drawn = [hypothesis.found.iterations for hypothesis in tried]
     running = sum(hypothesis.found.seconds for hypothesis in tried)
     return FundamentalEstimate(
         status=status,
-        F=F,
+        F=raw_F if status is Status.OK else None,
+        raw_F=raw_F,
         x1=given.x1,
         x2=given.x2,
         inliers=inliers,

@@ -209,6 +209,9 @@ class FundamentalEstimate:
         ``ok``, ``too_few_matches``, ``no_model`` or ``degenerate``.
     F : ndarray, shape (3, 3), float64, or None
         ``x2' F x1 = 0``; rank 2, Frobenius norm 1, largest entry positive. None unless `status` is ``ok``.
+    raw_F : ndarray, shape (3, 3), float64, or None
+        F before the verdict, in the same form; None if the estimator gave none. For measuring an estimator: whether to
+        trust F is what `status` says.
     x1, x2 : ndarray, shape (N, 2), float64
         The matches over which support was collected, pixels.
     inliers : ndarray, shape (N,), bool
@@ -241,6 +244,7 @@ class FundamentalEstimate:
     iterations: int | None = None
     roll_deg: float = 0.0
     input: str = ""
+    raw_F: FloatArray | None = None
     message: str = ""
     seconds: Mapping[str, float] = field(default_factory=lambda: EMPTY_MAPPING)
 

@@ -84,7 +84,7 @@ class Bench:
     whole: tuple[Labelled, ...]
 
     def estimated(self, sets: Sequence[MatchSet], estimator: str, kind: str, *, calibrated: bool = True) -> list[Row]:
-        """Return a row per seed: what the estimator makes of the sets.
+        """Return a row per seed: what the estimator makes of the sets, measured at F before the verdict.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class Bench:
                 hand_over=how,
                 pixel_factors=self.factors,
             )
-            rows.append(self._row(estimator, seed, found.F, str(found.status)))
+            rows.append(self._row(estimator, seed, found.raw_F, str(found.status)))
         return rows
 
     def known(self, F: FloatArray | None) -> list[Row]:

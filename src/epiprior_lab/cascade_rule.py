@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from epiprior.cascade import CascadeRule
-from epiprior.types import BoolArray, FloatArray
+from epiprior.types import BoolArray, FloatArray, Status
 from epiprior_lab.datasets import Pair
 from epiprior_lab.evaluation import HandOvers, Row, estimator_rows, match_folder
 from epiprior_lab.matching import WITHOUT, store_matches
@@ -96,15 +96,15 @@ def paired_runs(results: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame
         One row per family, pair, estimator and seed: ``status``, ``support`` and ``matches`` without
-        preprocessing, and the errors ``without_px``, ``with_px``, infinite where there is no F.
+        preprocessing, ``with_status`` with it, and the errors ``without_px``, ``with_px``, infinite without F. The
+        verdict decides what a cascade does, not whether its F is right.
     """
     keys = ["family", "pair_id", "scene", "estimator", "seed"]
-    errors = results["error_px"].where(results["status"] == "ok", np.inf).fillna(np.inf)
-    table = results.assign(error_px=errors)
+    table = results.assign(error_px=results["error_px"].fillna(np.inf))
     without = table[table["input"].isin(WITHOUT)].rename(columns={"error_px": "without_px"})
-    with_step = table[table["input"] == PREPROCESSED].rename(columns={"error_px": "with_px"})
+    with_step = table[table["input"] == PREPROCESSED].rename(columns={"error_px": "with_px", "status": "with_status"})
     left = without[[*keys, "status", "support", "matches", "without_px"]]
-    return left.merge(with_step[[*keys, "with_px"]], on=keys, how="inner", validate="one_to_one")
+    return left.merge(with_step[[*keys, "with_status", "with_px"]], on=keys, how="inner", validate="one_to_one")
 
 
 def kept_runs(runs: pd.DataFrame, rules: Sequence[CascadeRule]) -> BoolArray:
@@ -117,10 +117,12 @@ def kept_runs(runs: pd.DataFrame, rules: Sequence[CascadeRule]) -> BoolArray:
 def cascade_errors(runs: pd.DataFrame, kept: BoolArray) -> FloatArray:
     """Return the errors of a cascade that keeps some of the runs, pixels, shape (N,).
 
-    Where preprocessing finds no F the cascade falls back on what it had, as the library does.
+    Where the verdict turns down what preprocessing leads to, the cascade falls back on what it had, if that is ``ok``,
+    as the library does.
     """
     without, with_step = runs["without_px"].to_numpy(np.float64), runs["with_px"].to_numpy(np.float64)
-    return np.where(kept | np.isinf(with_step), without, with_step)
+    back = (runs["status"] == Status.OK) & (runs["with_status"] != Status.OK)
+    return np.where(kept | back.to_numpy(np.bool_), without, with_step)
 
 
 def lost_runs(runs: pd.DataFrame, kept: BoolArray, threshold_px: float) -> BoolArray:

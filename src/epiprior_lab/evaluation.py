@@ -105,7 +105,12 @@ def estimate_row(
     -------
     dict
         ``status``, ``support`` out of so many ``matches``, ``iterations``, ``error_px`` (mean of the roots of the
-        Sampson distances) and ``median_error_px``; the two errors are NaN without a fundamental matrix.
+        Sampson distances) and ``median_error_px``.
+
+    Notes
+    -----
+    The errors are those of F before the verdict, NaN only where the estimator gave none. Whether the verdict is right
+    is another question (`epiprior_lab.reports.verdicts`), and a strict one would flatter the inputs that it spares.
     """
     estimate = estimate_from_matches(
         matches.sets[input_name],
@@ -114,7 +119,7 @@ def estimate_row(
         hand_over=hand_over,
         pixel_factors=matches.pixel_factors,
     )
-    distances = np.array([np.nan]) if estimate.F is None else errors_px(estimate.F, *points)
+    distances = np.array([np.nan]) if estimate.raw_F is None else errors_px(estimate.raw_F, *points)
     return {
         "status": str(estimate.status),
         "support": estimate.support,

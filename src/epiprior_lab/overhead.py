@@ -44,7 +44,8 @@ def measure_pair(pair: Pair, inputs: EstimatorInputs, hand_overs: HandOvers, see
     -------
     list of dict
         ``pair_id, scene, input, estimator, seed, matching_seconds`` (features and everything up to the ranked
-        matches), ``estimator_seconds`` (from matches to F, all roll hypotheses) and ``error_px`` (NaN without F).
+        matches), ``estimator_seconds`` (from matches to F, all roll hypotheses) and ``error_px`` (of F before the
+        verdict; NaN without F).
     """
     points = pair.control_points()
     rows: list[Row] = []
@@ -73,7 +74,7 @@ def measure_pair(pair: Pair, inputs: EstimatorInputs, hand_overs: HandOvers, see
                         "seed": seed,
                         "matching_seconds": matching,
                         "estimator_seconds": seconds,
-                        "error_px": np.nan if estimate.F is None else errors_px(estimate.F, *points).mean(),
+                        "error_px": np.nan if estimate.raw_F is None else errors_px(estimate.raw_F, *points).mean(),
                     }
                 )
     return rows

@@ -240,7 +240,7 @@ def summarise(rows: pd.DataFrame) -> pd.DataFrame:
     out = []
     for name in INPUTS:
         part = rows[rows["input"] == name]
-        errors = part["error_px"].where(part["status"] == "ok")
+        errors = part["error_px"]
         line: Row = {"input": name, "pairs": len(part.groupby(["set", "pair_id"]))}
         line["precision_100"] = float(part.groupby(["set", "pair_id"])["precision_100"].first().mean())
         for threshold in THRESHOLDS_PX:

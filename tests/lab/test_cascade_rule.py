@@ -37,6 +37,7 @@ def runs_of(rows, estimator="usac"):
     columns = ["scene", "support", "matches", "without_px", "with_px"]
     table = pd.DataFrame(rows, columns=columns)
     table["status"] = np.where(np.isinf(table["without_px"]), "no_model", "ok")
+    table["with_status"] = np.where(np.isinf(table["with_px"]), "no_model", "ok")
     table["pair_id"] = [f"pair-{i}" for i in range(len(table))]
     return table.assign(estimator=estimator, family="open", seed=0)
 
@@ -58,8 +59,9 @@ def test_runs_are_paired_and_other_inputs_left_out():
         row("a", "default", 0, "ok", 6.0),
     ]
     got = paired_runs(pd.DataFrame(rows)).set_index(["pair_id", "seed"])
-    assert got["without_px"].to_dict() == {("b", 1): INF, ("b", 0): 2.0, ("a", 0): 5.0}
+    assert got["without_px"].to_dict() == {("b", 1): 3.0, ("b", 0): 2.0, ("a", 0): 5.0}  # whatever the verdict says
     assert got["with_px"].to_dict() == {("b", 1): 4.0, ("b", 0): INF, ("a", 0): 6.0}
+    assert got["with_status"].to_dict() == {("b", 1): "ok", ("b", 0): "no_model", ("a", 0): "ok"}
     assert got["support"].to_dict() == {("b", 1): 40, ("b", 0): 40, ("a", 0): 90}
     with pytest.raises(pd.errors.MergeError):
         paired_runs(pd.DataFrame([*rows, rows[0]]))
@@ -81,6 +83,13 @@ def test_a_cascade_takes_one_or_the_other_and_falls_back():
     assert cascade_errors(runs, kept[0]).tolist() == [1.0, 2.0, 3.0, INF, 30.0]
     assert lost_runs(runs, kept, 10.0).tolist() == [[False, False, False, False, True], [False] * 5]
     assert lost_runs(runs, kept, 1.5)[0].tolist() == [False, False, False, False, True]
+
+
+def test_a_cascade_trusts_the_verdict_even_where_it_is_wrong():
+    runs = runs_of([("a", 20, 200, 50.0, 2.0), ("b", 20, 200, 50.0, 2.0)])
+    runs["with_status"] = "degenerate"
+    runs.loc[1, "status"] = "degenerate"
+    assert cascade_errors(runs, np.array([False, False])).tolist() == [50.0, 2.0]
 
 
 def test_candidates_go_from_never_to_always():

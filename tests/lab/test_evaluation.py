@@ -19,7 +19,7 @@ from epiprior.handover import HandOver, load_hand_overs
 from epiprior.models import load_model
 from epiprior.preprocess import rank_matches
 from epiprior.presets import find_preset
-from epiprior.types import MatchSet
+from epiprior.types import MatchSet, Status
 from epiprior_lab import detection, evaluation, hand_over_search, matching, rankings
 from epiprior_lab.datasets import Camera, Pair, read_pair_set
 from epiprior_lab.ground_truth import LabelSettings
@@ -112,6 +112,17 @@ def test_rows_of_a_pair(pairs, hand_overs, tiny_model, tmp_path):
     evaluate(pairs, hand_overs, store=tmp_path / "store").write(tmp_path / "again")
     for name in ("results", "rankings", "ranking_curves", "roll", "calibration"):
         assert (tmp_path / "again" / f"{name}.csv").read_bytes() == (tmp_path / "out" / f"{name}.csv").read_bytes()
+
+
+def test_errors_are_those_of_f_whatever_the_verdict_says(pairs, monkeypatch):
+    matches = matching.match_pair(pairs[0], ("snn",))
+    run = {"estimator": "usac", "input_name": "snn", "seed": 0, "hand_over": HandOver()}
+    before = evaluation.estimate_row(matches, pairs[0].control_points(), **run)
+    monkeypatch.setattr("epiprior.estimate.judge", lambda *_: (Status.DEGENERATE, "out of spite"))
+    after = evaluation.estimate_row(matches, pairs[0].control_points(), **run)
+    assert (before["status"], after["status"]) == ("ok", "degenerate")
+    assert before["error_px"] == after["error_px"] < 1
+    assert after["median_error_px"] == before["median_error_px"]
 
 
 def test_rankings_roll_and_calibration_of_a_pair(pairs, hand_overs, tiny_model):

@@ -1,12 +1,17 @@
 """Distances of fundamental matrices and errors of poses: exact geometry, and slow twins."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from epiprior.geometry import normalise_fundamental
-from epiprior_lab.datasets import Camera, fundamental_from_cameras
+from epiprior.types import FundamentalEstimate, Status
+from epiprior_lab.datasets import Camera, Pair, fundamental_from_cameras
+from epiprior_lab.photographs.estimation import measured
 from epiprior_lab.photographs.measures import points_on_lines, pose_errors, symmetric_distance
-from epiprior_lab.photographs.truth import on_one_plane, split_of
+from epiprior_lab.photographs.params import MeasureParams
+from epiprior_lab.photographs.truth import Truth, on_one_plane, split_of
 from synthetic import HEIGHT, WIDTH, K, rotation
 
 SIZES = ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
@@ -101,6 +106,25 @@ def test_pose_of_the_true_matrix_is_exact_and_of_others_off_by_what_they_are():
     _, translation_deg = pose_errors(fundamental_from_cameras(*cameras(t=moved)), pair, *seen(cameras(t=moved)))
     cosine = t @ moved / np.linalg.norm(t) / np.linalg.norm(moved)
     assert translation_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=1e-4)
+
+
+def test_an_estimate_is_measured_whatever_the_verdict_says(tmp_path):
+    first, second = cameras()
+    F = fundamental_from_cameras(first, second)
+    x1, x2 = seen((first, second))
+    pair = Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=first, camera2=second, difficulty="")
+    truth = Truth(labels="3D", points="cameras", x1=x1, x2=x2, F=F)
+    none = np.zeros(len(x1), np.bool_)
+    turned_down = FundamentalEstimate(
+        status=Status.DEGENERATE, F=None, raw_F=F, x1=x1, x2=x2, inliers=none, support=0, estimator="usac"
+    )
+    measures = MeasureParams(seed=1, distance_points=50)
+    row = measured(turned_down, pair, truth, measures, threshold_px=1.5)
+    assert row["error_px"] < 1e-6
+    assert row["distance"] < 1e-6
+    assert max(row["rotation_deg"], row["translation_deg"]) < 1e-3
+    row = measured(replace(turned_down, raw_F=None), pair, truth, measures, threshold_px=1.5)
+    assert np.isnan(list(row.values())).all()
 
 
 def test_pose_without_baseline_has_no_translation():

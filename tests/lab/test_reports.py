@@ -57,7 +57,7 @@ def naive_successes(results, threshold):
     """Number of successful pairs per seed."""
     counts = dict.fromkeys(sorted(set(results["seed"])), 0)
     for row in results.itertuples():
-        if row.status == "ok" and row.error_px < threshold:
+        if row.error_px < threshold:
             counts[row.seed] += 1
     return list(counts.values())
 
@@ -216,11 +216,15 @@ def test_bounds_of_the_study(root, written):
     assert text.count(" | yes |\n") + text.count(" | no |\n") == len(table)
 
 
-def test_a_failed_status_is_a_failure_whatever_its_error(root):
-    results = results_of(root).assign(status="no_model")
+def test_a_run_is_judged_by_its_f_and_not_by_the_verdict(root):
+    results = results_of(root)
     rates, scenes = study.success_rates(results, 10.0, estimator="usac", input="snn")
-    assert not rates.any()
+    turned_down, _ = study.success_rates(results.assign(status="degenerate"), 10.0, estimator="usac", input="snn")
+    assert 0 < rates.sum() < 24
+    assert turned_down.tolist() == rates.tolist()
     assert len(rates) == len(scenes) == 24
+    without, _ = study.success_rates(results.assign(error_px=np.nan), 10.0, estimator="usac", input="snn")
+    assert not without.any()
 
 
 def test_markdown_has_every_row(root, written):
@@ -302,7 +306,7 @@ def test_page_is_whole(root, written):
     page = Page(text)
     assert not page.open
     sections = ["summary", "bounds", "scenes", "example", "successes", "duels", "analysis", "cascade", "rankings"]
-    sections += ["roll", "calibration", "classifiers", "hand-over", "time", "method"]
+    sections += ["roll", "calibration", "classifiers", "hand-over", "verdict", "time", "method"]
     assert page.ids == sections
     inside = [link for link in page.links if link.startswith("#")]
     assert [link[1:] for link in inside] == sections

@@ -160,16 +160,16 @@ def run(
     """
     settings = settings or EstimatorSettings()
     found = fit(name, matches, seed=seed, settings=settings)
-    F, status, message = found.F, found.status, found.message
-    if F is not None:
-        status, message = judge(F, matches.x1, matches.x2, settings.threshold_px)
-    if F is None or status is not Status.OK:
-        F, inliers = None, np.zeros(len(matches), dtype=np.bool_)
-    else:
-        inliers = sampson_distance(F, matches.x1, matches.x2) < settings.threshold_px
+    status, message = found.status, found.message
+    if found.F is not None:
+        status, message = judge(found.F, matches.x1, matches.x2, settings.threshold_px)
+    F, inliers = None, np.zeros(len(matches), dtype=np.bool_)
+    if found.F is not None and status is Status.OK:
+        F, inliers = found.F, sampson_distance(found.F, matches.x1, matches.x2) < settings.threshold_px
     return FundamentalEstimate(
         status=status,
         F=F,
+        raw_F=found.F,
         x1=matches.x1,
         x2=matches.x2,
         inliers=inliers,

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from epiprior.chance import beyond_chance, chance_rate, distinct_count
-from epiprior.degeneracy import why_degenerate
+from epiprior.degeneracy import LEVELS, DecidedLevels, why_degenerate
 from epiprior.geometry import MIN_MATCHES, sampson_distance
 from epiprior.types import FloatArray, Status
 
 _MATCHES_PER_F = 7
 
 
-def judge(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> tuple[Status, str]:
+def judge(
+    F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float, levels: DecidedLevels = LEVELS
+) -> tuple[Status, str]:
     """Return the status that F deserves on the matches it was estimated from, and why.
 
     Parameters
@@ -21,6 +23,8 @@ def judge(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) ->
         Inliers and outliers, pixels.
     threshold_px : float
         On the Sampson distance.
+    levels : DecidedLevels
+        How much evidence off a dominant plane decides F.
 
     Returns
     -------
@@ -38,5 +42,5 @@ def judge(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) ->
             Status.NO_MODEL,
             f"{distinct} distinct inliers of {len(x1)} matches are no more than chance gives",
         )
-    why = why_degenerate(F, x1, x2, threshold_px=threshold_px, rate=rate)
+    why = why_degenerate(F, x1, x2, threshold_px=threshold_px, rate=rate, levels=levels)
     return (Status.DEGENERATE, why) if why else (Status.OK, "")

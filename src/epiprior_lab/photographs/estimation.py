@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate
 from epiprior_lab.datasets import Pair
 from epiprior_lab.ground_truth import errors_px
@@ -82,7 +83,8 @@ def photograph_rows(
             estimate = run_estimator(sets, pair, estimator=estimator, name=name, seed=seed, how=hand_overs[name])
             about = {"status": str(estimate.status), "support": estimate.support, "matches": len(estimate.x1)}
             about |= {"iterations": estimate.iterations}
-            found.append(about | measured(estimate, pair, truth, measures))
+            threshold_px = hand_overs[name].threshold_px * max(sets.pixel_factors)
+            found.append(about | measured(estimate, pair, truth, measures, threshold_px=threshold_px))
         rows += [
             {"estimator": estimator, "input": name, "seed": seed, **found[min(k, len(found) - 1)]}
             for k, seed in enumerate(seeds)
@@ -104,8 +106,19 @@ def run_estimator(
     return estimate
 
 
-def measured(estimate: FundamentalEstimate, pair: Pair, truth: Truth, measures: MeasureParams) -> Row:
-    """Return how far an estimate is from the truth.
+def measured(
+    estimate: FundamentalEstimate, pair: Pair, truth: Truth, measures: MeasureParams, *, threshold_px: float
+) -> Row:
+    """Return how far F is from the truth, before the verdict.
+
+    Parameters
+    ----------
+    estimate : FundamentalEstimate
+        Its `raw_F` is measured: the verdict has a table of its own (`epiprior_lab.reports.verdicts`).
+    pair, truth, measures
+        As for `photograph_rows`.
+    threshold_px : float
+        Matches within it choose among the four poses of F, pixels.
 
     Returns
     -------
@@ -115,17 +128,16 @@ def measured(estimate: FundamentalEstimate, pair: Pair, truth: Truth, measures: 
         without an F, or where the pair has no true F or no cameras.
     """
     row: Row = dict.fromkeys(("error_px", "median_error_px", "distance", "rotation_deg", "translation_deg"), np.nan)
-    if estimate.F is None:
+    F = estimate.raw_F
+    if F is None:
         return row
-    errors = errors_px(estimate.F, truth.x1, truth.x2)
+    errors = errors_px(F, truth.x1, truth.x2)
     row |= {"error_px": float(errors.mean()), "median_error_px": float(np.median(errors))}
     if truth.F is not None:
         seed = child_seed(measures.seed, pair.pair_id)
-        row["distance"] = symmetric_distance(
-            estimate.F, truth.F, pair.sizes(), points=measures.distance_points, seed=seed
-        )
+        row["distance"] = symmetric_distance(F, truth.F, pair.sizes(), points=measures.distance_points, seed=seed)
     if pair.camera1 is not None and pair.camera2 is not None:
-        inliers = estimate.x1[estimate.inliers], estimate.x2[estimate.inliers]
-        angles = pose_errors(estimate.F, (pair.camera1, pair.camera2), *inliers)
+        near = sampson_distance(F, estimate.x1, estimate.x2) < threshold_px
+        angles = pose_errors(F, (pair.camera1, pair.camera2), estimate.x1[near], estimate.x2[near])
         row |= dict(zip(("rotation_deg", "translation_deg"), angles, strict=True))
     return row

@@ -29,6 +29,7 @@ from epiprior_lab.photographs.wording import (
     success_rows,
 )
 from epiprior_lab.reports.study import order_of
+from epiprior_lab.reports.verdicts import VERDICT_HEAD, verdict_rows
 
 Block = dict[str, Any]
 
@@ -64,6 +65,7 @@ def write_page(
             geometry=_geometry_block(tables.geometry, params),
             calibration=_calibration_block(tables.calibration),
             cascade=_cascade_block(tables.cascade, params.success_px),
+            verdicts={"head": VERDICT_HEAD, "rows": verdict_rows(_of_all(tables.verdicts))},
             estimators=tables.estimators.to_dict("records"),
             cases=[_case(case, "gallery", "png") for case in cases],
             params=params,
@@ -101,9 +103,14 @@ def _success_block(successes: pd.DataFrame, threshold_px: float) -> Block:
     return {"threshold": threshold_px, "head": success_head(at), "groups": groups}
 
 
+def _of_all(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of splits and of all: those of the sets are in the table beside the page."""
+    return table[table["group"].isin((*SPLITS, ALL))]
+
+
 def _geometry_block(geometry: pd.DataFrame, params: RealReportParams) -> Block:
     """Return splits and all; the sets are in the table beside the page."""
-    at = geometry[geometry["group"].isin((*SPLITS, ALL))]
+    at = _of_all(geometry)
     areas = [f"auc_{limit:g}" for limit in params.pose_deg]
     groups = []
     for group, part in at.groupby("group", sort=False):

@@ -15,11 +15,12 @@ from epiprior_lab.photographs.figures import draw_figures
 from epiprior_lab.photographs.gallery import Case
 from epiprior_lab.photographs.page import write_gallery, write_page
 from epiprior_lab.photographs.params import RealReportParams
-from epiprior_lab.photographs.results import Photographs
+from epiprior_lab.photographs.results import ALL, Photographs
 from epiprior_lab.photographs.tables import (
     Tables,
     calibration_table,
     geometry_table,
+    group_verdicts,
     pair_table,
     ranking_table,
     set_table,
@@ -30,6 +31,7 @@ from epiprior_lab.photographs.truth import SPLITS
 from epiprior_lab.photographs.wording import report_markdown
 from epiprior_lab.reports.cascade_tables import cascade_table
 from epiprior_lab.reports.tables import estimator_table
+from epiprior_lab.reports.verdicts import verdict_figure, verdict_markdown
 
 
 def make_tables(photographs: Photographs, rules: Mapping[str, CascadeRule], params: RealReportParams) -> Tables:
@@ -49,6 +51,7 @@ def make_tables(photographs: Photographs, rules: Mapping[str, CascadeRule], para
         calibration=calibration_table(photographs),
         cascade=real_cascade_table(photographs, rules, params),
         estimators=estimator_table(photographs.estimators),
+        verdicts=group_verdicts(photographs, params.success_px),
     )
 
 
@@ -103,9 +106,12 @@ def write_report(
         write_real_table(table, out / "tables" / f"{name}.csv")
     write_real_table(pair_table(photographs), out / "tables" / "pairs.csv")
     text = report_markdown(tables.bounds, tables.sets, tables.successes, tables.rankings)
+    verdicts = tables.verdicts[tables.verdicts["group"].isin((*SPLITS, ALL))]
+    text += "\n".join(["", *verdict_markdown(verdicts, params.success_px), ""])
     (out / "performance.md").write_text(text, encoding="utf-8", newline="\n")
     strict = min((t for t in params.thresholds_px if t >= 3), default=params.success_px)
     shown = dict.fromkeys((params.success_px, strict))
     figures = draw_figures(photographs, tables.successes, out / "figures", thresholds_px=list(shown))
+    figures["verdicts"] = verdict_figure(verdicts, out / "figures" / "verdicts.png")
     write_page(tables, figures, cases, out / "index.html", params=params)
     write_gallery(cases, gallery / "index.html", estimator=params.gallery.estimator)

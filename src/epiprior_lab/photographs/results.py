@@ -128,7 +128,7 @@ class Runs:
 
     def __init__(self, photographs: Photographs, measure: Callable[[pd.DataFrame], Any]) -> None:
         table = photographs.results
-        values = np.where(table["status"] == "ok", np.asarray(measure(table), np.float64), np.inf)
+        values = np.asarray(measure(table), np.float64)
         table = table.assign(value=np.where(np.isnan(values), np.inf, values))
         self._pairs = list(photographs.pairs["pair"])
         self._parts = dict(iter(table.groupby(["estimator", "input"], sort=False)))

@@ -23,6 +23,7 @@ from epiprior_lab.photographs.truth import SPLITS, UNLABELLED
 from epiprior_lab.reports.performance import interval_cells
 from epiprior_lab.reports.study import order_of
 from epiprior_lab.reports.tables import calibration_sums
+from epiprior_lab.reports.verdicts import verdict_table
 from epiprior_lab.seeds import child_seed
 from epiprior_lab.statistics import bootstrap_mean, paired_bootstrap, success_curve
 
@@ -42,6 +43,7 @@ class Tables:
     calibration: pd.DataFrame
     cascade: pd.DataFrame
     estimators: pd.DataFrame
+    verdicts: pd.DataFrame
 
 
 def set_table(photographs: Photographs) -> pd.DataFrame:
@@ -217,6 +219,13 @@ def calibration_table(photographs: Photographs) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def group_verdicts(photographs: Photographs, threshold_px: float) -> pd.DataFrame:
+    """Return what the verdict makes of right and of wrong F, by group: see `epiprior_lab.reports.verdicts`."""
+    results = photographs.results
+    members = {group: set(photographs.pairs["pair"][member]) for group, member in photographs.groups.items()}
+    return verdict_table({group: results[results["pair"].isin(own)] for group, own in members.items()}, threshold_px)
+
+
 def pair_table(photographs: Photographs) -> pd.DataFrame:
     """Return one row per pair, estimator and input: every number that the other tables are made of.
 
@@ -230,10 +239,10 @@ def pair_table(photographs: Photographs) -> pd.DataFrame:
     table = photographs.results.assign(
         scene=photographs.results["scene"].str.partition("/")[2],
         pose_deg=photographs.results[["rotation_deg", "translation_deg"]].max(axis=1, skipna=False),
-        ok=photographs.results["status"] == "ok",
+        has_F=photographs.results["error_px"].notna(),
     )
     grouped = table.groupby(keys, sort=False)
-    means = grouped.agg(found=("ok", "sum"), distance=("distance", "mean"), pose_deg=("pose_deg", "mean"))
+    means = grouped.agg(found=("has_F", "sum"), distance=("distance", "mean"), pose_deg=("pose_deg", "mean"))
     errors = table.pivot_table(index=keys, columns="seed", values="error_px", sort=False, dropna=False, aggfunc="first")
     errors.columns = pd.Index([f"error_px_{seed}" for seed in errors.columns])
     wide = means[["found"]].join(errors).join(means[["distance", "pose_deg"]]).reset_index()

@@ -227,7 +227,7 @@ def lost_table(analysis: Analysis, thresholds_px: Sequence[float]) -> pd.DataFra
 def _outscored(limits: pd.DataFrame, part: pd.DataFrame, threshold: float) -> FloatArray:
     """Return, per pair, the share of seeds that failed with an F of more weighted support than the true one."""
     truth = part["pair_id"].map(limits.set_index("pair_id")["score_of_truth"])
-    failed = ~((part["status"] == "ok") & (part["error_px"] < threshold))
+    failed = ~(part["error_px"] < threshold)
     return np.asarray((failed & (part["score"] > truth)).groupby(part["pair_id"]).mean().sort_index(), np.float64)
 
 

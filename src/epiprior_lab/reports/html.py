@@ -19,6 +19,7 @@ from epiprior_lab.reports.classifier_figure import METRIC_NAMES, TARGET_NAMES
 from epiprior_lab.reports.performance import ALL, COLUMNS, COMPARISONS
 from epiprior_lab.reports.study import order_of
 from epiprior_lab.reports.style import RANKING_LOOKS
+from epiprior_lab.reports.verdicts import VERDICT_HEAD, verdict_rows
 from epiprior_lab.reports.wording import bound_rows, contribution_cell, difference_cell, family_title, success_cell
 
 # What other stages write; these names are theirs.
@@ -36,6 +37,8 @@ class PageTables:
         As from the function of that name, such as `performance.performance_table`.
     hand_over : DataFrame
         The search; the page shows the chosen rows.
+    verdicts : DataFrame
+        As from `verdicts.study_verdicts`.
     """
 
     performance: pd.DataFrame
@@ -46,6 +49,7 @@ class PageTables:
     classifiers: pd.DataFrame
     estimators: pd.DataFrame
     hand_over: pd.DataFrame
+    verdicts: pd.DataFrame
 
 
 def write_page(
@@ -66,7 +70,8 @@ def write_page(
         Numbers.
     figures : mapping of str to Path
         PNG and JPEG files in the page's folder or below, by the names that the template uses: ``contact_sheet,
-        example, performance, successes, duels, rankings, roll, calibration, classifiers, hand_over``.
+        example, performance, successes, duels, rankings, roll, calibration, classifiers, hand_over,
+        verdicts``.
     path : Path
         HTML file.
     success_px, strict_px : float
@@ -97,6 +102,7 @@ def write_page(
         calibration=tables.calibration[tables.calibration["family"] == ALL].to_dict("records"),
         classifiers=_classifier_rows(tables.classifiers),
         hand_over=_hand_over_rows(tables.hand_over),
+        verdicts={"head": VERDICT_HEAD, "rows": verdict_rows(tables.verdicts)},
         success_px=success_px,
         strict_px=strict_px,
         seeds=seeds,

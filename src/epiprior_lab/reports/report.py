@@ -21,6 +21,7 @@ from epiprior_lab.reports.tables import (
     ranking_table,
     write_table,
 )
+from epiprior_lab.reports.verdicts import study_verdicts, verdict_figure, verdict_markdown
 
 PAGE = "index.html"
 
@@ -54,11 +55,13 @@ def write_report(study: Study, photographs: Mapping[str, Path], out: Path, param
         write_table(tables.calibration, out / "calibration.csv"),
         write_table(tables.classifiers, out / "classifiers.csv"),
         write_table(tables.hand_over, out / "hand_over.csv"),
+        write_table(tables.verdicts, out / "verdicts.csv"),
         out / "performance.md",
     ]
     champion = params.bounds.champion
     markdown = performance_markdown(tables.performance, tables.duels, tables.bounds, champion)
-    (out / "performance.md").write_text(markdown, encoding="utf-8", newline="\n")
+    verdicts = "\n".join(["", *verdict_markdown(tables.verdicts, params.success_px), ""])
+    (out / "performance.md").write_text(markdown + verdicts, encoding="utf-8", newline="\n")
     drawn = _figures(study, tables, out / "figures", params)
     page = write_page(
         tables,
@@ -86,6 +89,7 @@ def _tables(study: Study, params: ReportParams) -> PageTables:
         classifiers=classifier_table(study),
         estimators=estimator_table(order_of(study.results["estimator"])),
         hand_over=study.hand_over,
+        verdicts=study_verdicts(study, params.success_px),
     )
 
 
@@ -100,4 +104,5 @@ def _figures(study: Study, tables: PageTables, at: Path, params: ReportParams) -
         "calibration": figures.calibration_figure(study, at / "calibration.png"),
         "classifiers": classifier_figure(tables.classifiers, at / "classifiers.png"),
         "hand_over": hand_over_figure(study, at / "hand_over.png"),
+        "verdicts": verdict_figure(tables.verdicts, at / "verdicts.png"),
     }

@@ -116,13 +116,12 @@ def read_table(path: Path, columns: str) -> pd.DataFrame:
 def errors_of(results: pd.DataFrame, **where: Any) -> pd.DataFrame:
     """Return errors for the rows that agree with `where`, one row per pair, one column per seed.
 
-    Rows are ordered by pair id. A run whose status is not ``ok`` has an infinite error, whatever its cell
-    says.
+    Rows are ordered by pair id. A run without F has an infinite error; what the verdict says of an F changes nothing.
     """
     rows = results
     for column, value in where.items():
         rows = rows[rows[column] == value]
-    errors = rows["error_px"].where(rows["status"] == "ok", np.inf).fillna(np.inf)
+    errors = rows["error_px"].fillna(np.inf)
     return rows.assign(error_px=errors).pivot_table(
         index=["pair_id", "scene"], columns="seed", values="error_px", sort=True, aggfunc="first"
     )
