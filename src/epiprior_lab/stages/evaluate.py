@@ -1,7 +1,8 @@
-"""Stage `evaluate`: estimators without and with the preprocessing step on the test pairs of every family."""
+"""Stage `evaluate`: estimators without and with the preprocessing step on the test pairs of one family."""
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import asdict
 from pathlib import Path
 
@@ -14,24 +15,24 @@ from epiprior_lab.params import load_params
 
 
 def main() -> None:
-    """Write ``data/evaluation/<family>/*.csv`` for every family."""
+    """Write ``data/evaluation/<family>/*.csv``."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--family", required=True)
+    family = parser.parse_args().family
     params = load_params()
     truth = asdict(params.ground_truth)
-    labels = LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__})
-    hand_overs = load_hand_overs(Path("models/hand_over.json"))
-    for family in params.scenes.families:
-        evaluation = evaluate_pairs(
-            study_pairs("test", family),
-            family=family,
-            inputs=params.evaluate.inputs_by_estimator,
-            seeds=params.evaluate.seeds,
-            hand_overs=hand_overs,
-            labels=labels,
-            files=model_files(Path("models"), params.evaluate.all_inputs),
-            workers=default_workers(),
-            store=Path("data/.tasks/evaluate") / family,
-        )
-        evaluation.write(Path("data/evaluation") / family)
+    evaluation = evaluate_pairs(
+        study_pairs("test", family),
+        family=family,
+        inputs=params.evaluate.inputs_by_estimator,
+        seeds=params.evaluate.seeds,
+        hand_overs=load_hand_overs(Path("models/hand_over.json")),
+        labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
+        files=model_files(Path("models"), params.evaluate.all_inputs),
+        workers=default_workers(),
+        store=Path("data/.tasks/evaluate") / family,
+    )
+    evaluation.write(Path("data/evaluation") / family)
 
 
 if __name__ == "__main__":
