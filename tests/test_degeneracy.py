@@ -8,6 +8,7 @@ import pytest
 from epiprior.degeneracy import (
     DecidedLevels,
     PlaneEvidence,
+    _near_line,
     fit_homography,
     homography_distance,
     why_degenerate,
@@ -158,6 +159,34 @@ def _on_epipolar_lines(F: FloatArray, x1: FloatArray) -> FloatArray:
     line = np.column_stack([x1, np.ones(len(x1))]) @ F.T
     u = np.random.default_rng(0).uniform(0, 1024, len(x1))
     return np.column_stack([u, -(line[:, 0] * u + line[:, 2]) / line[:, 1]])
+
+
+def near_line_slowly(x, support, threshold_px):
+    near = support
+    for _ in range(5):
+        centre = near.mean(axis=0)
+        normal = np.linalg.eigh(np.cov(near - centre, rowvar=False, bias=True))[1][:, 0]
+        distance = np.abs((support - centre) @ normal)
+        near = support[distance <= max(threshold_px, float(np.median(distance)))]
+    return np.abs((x - centre) @ normal) < threshold_px
+
+
+@pytest.mark.parametrize("on_line", [0.0, 0.3, 0.6, 1.0])
+def test_points_near_a_line_are_those_of_the_slow_way(on_line):
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        x = rng.uniform(0, 1000, (int(rng.integers(8, 200)), 2))
+        line = rng.random(len(x)) < on_line
+        turn = rng.uniform(0, np.pi)
+        along = rng.normal(0, 200, (line.sum(), 1)) * [np.cos(turn), np.sin(turn)]
+        x[line] = 500 + along + rng.normal(0, 1, along.shape)
+        support = x[: max(8, len(x) // 2)]
+        assert np.array_equal(_near_line(x, support, 4.0), near_line_slowly(x, support, 4.0))
+
+
+def test_points_at_one_place_are_near_any_line_through_it():
+    x = np.full((9, 2), 3.0)
+    assert _near_line(x, x, 4.0).all()
 
 
 def test_identical_images():

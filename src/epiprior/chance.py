@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import bdtrc
 
 from epiprior.geometry import sampson_distance
+from epiprior.selection import first_of_equal
 from epiprior.types import BoolArray, FloatArray
 
 HYPOTHESES = 100_000
@@ -31,9 +32,7 @@ def distinct_count(x1: FloatArray, x2: FloatArray) -> int:
     The smaller of the numbers of distinct points in the two images: an upper bound, exact for one-to-one
     matches.
     """
-    if not len(x1):
-        return 0
-    return min(len(np.unique(x[:, 0] + 1j * x[:, 1])) for x in (x1, x2))
+    return min(len(first_of_equal(x)) for x in (x1, x2))
 
 
 def chance_rate(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> float:

@@ -14,6 +14,7 @@ from epiprior.errors import FeatureError
 from epiprior.types import BoolArray, FloatArray, IntArray
 
 _GRID = 8
+_FACTORS = np.array([1.0, 0.6180339887498949, 0.7548776662466927, 0.5698402909980532])  # of no simple ratio
 
 
 @numba.njit(cache=True, nogil=True)
@@ -75,6 +76,30 @@ def one_to_one_mask(feature1: IntArray, feature2: IntArray) -> BoolArray:
     unique2, dense2 = np.unique(second, return_inverse=True)
     mask: BoolArray = _walk(dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_))
     return mask
+
+
+def first_of_equal(rows: FloatArray) -> IntArray:
+    """Return where each distinct row stands first, in the order of the rows.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N, D), float64
+        Points or matches, 1 to 4 finite numbers each. N = 0 is allowed.
+
+    Notes
+    -----
+    Equal rows have equal sums of their multiples, so that one sort of numbers finds them; rows that differ and have the
+    same sum, which is as good as impossible, are told apart by a slower sort.
+    """
+    sums = (rows * _FACTORS[: rows.shape[1]]).sum(axis=1)
+    order = np.argsort(sums, kind="stable")
+    repeated = np.diff(sums[order]) == 0
+    if not repeated.any():
+        return np.arange(len(rows))
+    ordered = rows[order]
+    if (ordered[1:] != ordered[:-1])[repeated].any():
+        return np.sort(np.unique(rows, axis=0, return_index=True)[1])
+    return np.sort(order[np.concatenate([[True], ~repeated])])
 
 
 def spread_mask(x1: FloatArray, x2: FloatArray, *, top_k: int, share: float) -> BoolArray:

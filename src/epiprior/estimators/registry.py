@@ -13,6 +13,7 @@ from epiprior.estimators import beem, blogs, colmap, degensac, epiprior, general
 from epiprior.estimators.protocol import SEED_LIMIT, Estimator, EstimatorSettings
 from epiprior.estimators.verdict import judge
 from epiprior.geometry import MIN_MATCHES, as_points, normalise_fundamental, sampson_distance
+from epiprior.selection import first_of_equal
 from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
 
 _REGISTRY: dict[str, Estimator] = {
@@ -192,8 +193,8 @@ def _checked(matches: MatchSet) -> MatchSet:
 
 def _distinct(matches: MatchSet) -> MatchSet:
     """Return the first of every group of matches at identical points, in the order of the ranking."""
-    _, first = np.unique(np.column_stack([matches.x1, matches.x2]), axis=0, return_index=True)
-    return matches if len(first) == len(matches) else matches.take(np.sort(first))
+    first = first_of_equal(np.column_stack([matches.x1, matches.x2]))
+    return matches if len(first) == len(matches) else matches.take(first)
 
 
 def _no_fit(estimator: Estimator, status: Status, message: str, start: float, iterations: int | None = None) -> Fit:
