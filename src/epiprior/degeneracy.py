@@ -260,7 +260,7 @@ def fit_homography(x1: FloatArray, x2: FloatArray, threshold_px: float) -> Float
     threshold_px : float
         On `homography_distance`.
     """
-    if distinct_count(x1, x2) < 4:
+    if _at_most(3, x1, x2):
         return None
     params = cv2.UsacParams()
     params.sampler = cv2.SAMPLING_UNIFORM
@@ -273,14 +273,21 @@ def fit_homography(x1: FloatArray, x2: FloatArray, threshold_px: float) -> Float
         H, _ = cv2.findHomography(x1, x2, params)
     except cv2.error:
         return None
+    before = np.zeros(len(x1), np.bool_)
     for _ in range(3):
         if H is None or H.shape != (3, 3) or not np.isfinite(H).all():
             return None
         near = homography_distance(np.asarray(H, dtype=np.float64), x1, x2) < threshold_px
-        if distinct_count(x1[near], x2[near]) <= 4:
+        if np.array_equal(before, near) or _at_most(4, x1[near], x2[near]):
             break
+        before = near
         H, _ = cv2.findHomography(x1[near], x2[near], 0)
     return None if H is None or not np.isfinite(H).all() else np.asarray(H, dtype=np.float64)
+
+
+def _at_most(count: int, x1: FloatArray, x2: FloatArray) -> bool:
+    """Return whether no more matches are distinct; the first hundred, which have fewer, mostly tell."""
+    return all(distinct_count(x1[:some], x2[:some]) <= count for some in (100, len(x1)))
 
 
 def homography_distance(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
