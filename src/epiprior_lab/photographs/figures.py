@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from epiprior_lab.matching import WITHOUT
+from epiprior_lab.matching import INPUTS, WITHOUT
 from epiprior_lab.photographs.results import ALL, Photographs
 from epiprior_lab.photographs.truth import SPLITS
 from epiprior_lab.reports.figures import calibration_figure
@@ -61,7 +61,7 @@ def as_study(photographs: Photographs) -> Study:
         return part.assign(family=part["split"], pair_id=part["pair"])
 
     empty = pd.DataFrame()
-    own = photographs.results["input"].isin(INPUT_LOOKS)  # peers would be too much for one panel
+    own = photographs.results["input"].isin(INPUTS)  # peers would be too much for one panel
     return Study(
         results=families(photographs.results[own]),
         rankings=empty,

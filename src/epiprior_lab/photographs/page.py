@@ -10,6 +10,7 @@ import jinja2
 import pandas as pd
 
 import epiprior
+from epiprior_lab.matching import INPUTS
 from epiprior_lab.photographs.gallery import Case
 from epiprior_lab.photographs.params import RealReportParams
 from epiprior_lab.photographs.results import ALL
@@ -17,10 +18,12 @@ from epiprior_lab.photographs.tables import Tables
 from epiprior_lab.photographs.truth import SPLITS
 from epiprior_lab.photographs.wording import (
     RANKING_HEAD,
+    RANKING_NOTE,
     SET_HEAD,
     bound_rows,
     group_title,
     input_name,
+    named,
     number,
     ranking_rows,
     set_rows,
@@ -60,14 +63,16 @@ def write_page(
             images={name: file.relative_to(path.parent).as_posix() for name, file in figures.items()},
             bounds=bound_rows(tables.bounds),
             sets={"head": SET_HEAD, "rows": set_rows(tables.sets)},
-            successes=[_success_block(tables.successes, threshold) for threshold in params.thresholds_px],
-            rankings={"head": RANKING_HEAD, "rows": ranking_rows(tables.rankings)},
+            successes=[_success_block(_of_all(tables.successes), threshold) for threshold in params.thresholds_px],
+            by_set=_success_block(_of_sets(tables.successes), params.success_px),
+            rankings={"head": RANKING_HEAD, "rows": ranking_rows(_of_all(tables.rankings)), "note": RANKING_NOTE},
             geometry=_geometry_block(tables.geometry, params),
             calibration=_calibration_block(tables.calibration),
             cascade=_cascade_block(tables.cascade, params.success_px),
-            verdicts={"head": VERDICT_HEAD, "rows": verdict_rows(_of_all(tables.verdicts))},
+            verdicts={"head": VERDICT_HEAD, "rows": verdict_rows(named(_of_all(tables.verdicts)))},
             estimators=tables.estimators.to_dict("records"),
             cases=[_case(case, "gallery", "png") for case in cases],
+            peers=[name for name in order_of(tables.successes["input"]) if name not in INPUTS],
             params=params,
         )
     )
@@ -106,6 +111,11 @@ def _success_block(successes: pd.DataFrame, threshold_px: float) -> Block:
 def _of_all(table: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of splits and of all: those of the sets are in the table beside the page."""
     return table[table["group"].isin((*SPLITS, ALL))]
+
+
+def _of_sets(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the sets."""
+    return table[~table["group"].isin((*SPLITS, ALL))]
 
 
 def _geometry_block(geometry: pd.DataFrame, params: RealReportParams) -> Block:

@@ -28,7 +28,7 @@ from epiprior_lab.photographs.tables import (
     write_real_table,
 )
 from epiprior_lab.photographs.truth import SPLITS
-from epiprior_lab.photographs.wording import report_markdown
+from epiprior_lab.photographs.wording import named, report_markdown
 from epiprior_lab.reports.cascade_tables import cascade_table
 from epiprior_lab.reports.tables import estimator_table
 from epiprior_lab.reports.verdicts import verdict_figure, verdict_markdown
@@ -107,7 +107,7 @@ def write_report(
     write_real_table(pair_table(photographs), out / "tables" / "pairs.csv")
     text = report_markdown(tables.bounds, tables.sets, tables.successes, tables.rankings)
     verdicts = tables.verdicts[tables.verdicts["group"].isin((*SPLITS, ALL))]
-    text += "\n".join(["", *verdict_markdown(verdicts, params.success_px), ""])
+    text += "\n".join(["", *verdict_markdown(named(verdicts), params.success_px), ""])
     (out / "performance.md").write_text(text, encoding="utf-8", newline="\n")
     strict = min((t for t in params.thresholds_px if t >= 3), default=params.success_px)
     shown = dict.fromkeys((params.success_px, strict))

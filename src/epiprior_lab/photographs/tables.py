@@ -25,7 +25,7 @@ from epiprior_lab.reports.study import order_of
 from epiprior_lab.reports.tables import calibration_sums
 from epiprior_lab.reports.verdicts import verdict_table
 from epiprior_lab.seeds import child_seed
-from epiprior_lab.statistics import bootstrap_mean, paired_bootstrap, success_curve
+from epiprior_lab.statistics import Interval, bootstrap_mean, paired_bootstrap, success_curve
 
 LOWE = "standard"
 RANKING_MEASURES = ("matches", "right", "precision_10", "precision_100", "precision_500", "average_precision")
@@ -91,7 +91,8 @@ def success_table(photographs: Photographs, *, thresholds_px: Sequence[float], d
         ``threshold_px, group, estimator, input, pairs, scenes``; ``successes`` (pairs, mean over seeds) and their
         deviation ``successes_sd``; ``scene_share``, the share of successes per scene, mean over scenes. Against the
         input without preprocessing: ``gain``, the paper's contribution, and ``scene_gain``, the difference of scene
-        shares, with the ends of their 95 % intervals, ``_low`` and ``_high``; NaN for that input itself.
+        shares, with the ends of their 95 % intervals, ``_low`` and ``_high``; NaN for that input itself. A group of one
+        scene has no interval, since whole scenes are drawn: the ends are NaN.
     """
     errors, scenes = error_runs(photographs), np.array(photographs.scenes)
     rows = []
@@ -121,9 +122,15 @@ def _gains(base: FloatArray, rates: FloatArray, scenes: list[str], draws: int, s
     per_scene = pd.DataFrame({"a": base, "b": rates}).groupby(scenes, sort=True).mean()
     by_scene = paired_bootstrap(per_scene["a"], per_scene["b"], draws=draws, seed=seed)
     return {
-        **interval_cells("gain", by_pair.contribution, 1.0),
-        **interval_cells("scene_gain", by_scene.difference, 1.0),
+        **_cells("gain", by_pair.contribution, scenes),
+        **_cells("scene_gain", by_scene.difference, scenes),
     }
+
+
+def _cells(name: str, interval: Interval, scenes: Sequence[str]) -> dict[str, float]:
+    """Return the columns of an interval over scenes; one scene gives a value and no interval."""
+    cells = interval_cells(name, interval, 1.0)
+    return cells if len(set(scenes)) > 1 else cells | dict.fromkeys((f"{name}_low", f"{name}_high"), np.nan)
 
 
 def geometry_table(photographs: Photographs, *, pose_deg: Sequence[float], recall_at: float) -> pd.DataFrame:
@@ -182,7 +189,7 @@ def ranking_table(photographs: Photographs, *, draws: int, seed: int) -> pd.Data
     DataFrame
         ``group, ranking, pairs``; `RANKING_MEASURES`; ``scene_precision_100``, averaged over scenes; and against
         Lowe's order ``precision_gain``, the difference of precision at 100, with the ends of its 95 % interval over
-        scenes.
+        scenes, NaN for a group of one scene.
     """
     rows = []
     member_of = {group: set(photographs.pairs["pair"][member]) for group, member in photographs.groups.items()}
@@ -200,7 +207,7 @@ def ranking_table(photographs: Photographs, *, draws: int, seed: int) -> pd.Data
                 gain = table["precision_100"] - tables[LOWE]["precision_100"]
                 child = child_seed(seed, "ranking", group, ranking)
                 found = bootstrap_mean(gain, draws=draws, seed=child, groups=scenes)
-                row |= interval_cells("precision_gain", found, 1.0)
+                row |= _cells("precision_gain", found, scenes)
             rows.append(row)
     return pd.DataFrame(rows)
 

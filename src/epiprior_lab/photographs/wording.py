@@ -25,6 +25,11 @@ def input_name(name: str) -> str:
     return INPUT_NAMES.get(name, name)
 
 
+def named(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose column `input` names inputs as tables call them."""
+    return table.assign(input=[input_name(str(name)) for name in table["input"]])
+
+
 def group_title(group: str, pairs: int) -> str:
     """Return the title of a group: ``hard pairs (61)``, ``all pairs (433)``, ``strecha (120)``."""
     return f"{group} pairs ({pairs})" if group in (*SPLITS, ALL) else f"{group} ({pairs})"
@@ -51,11 +56,12 @@ def bound_rows(bounds: pd.DataFrame) -> list[dict[str, str]]:
 def _bound(row: Mapping[Any, Any]) -> str:
     wanted, at = row["wanted"], f"{row['threshold_px']:g} px"
     if row["kind"] == HARD:
-        return f"every estimator gains at least {percent(wanted)} over X_L on hard pairs, {at}"
+        return f"every estimator gains at least {percent(wanted)} over going without on hard pairs, {at}"
     if row["kind"] == EASY:
         return f"no estimator loses more than {-100 * wanted:g} % on easy pairs, {at}"
     if row["kind"] == CHAMPION:
-        return f"{row['estimator']} on our matches is {percent(wanted)} ahead of the best peer on hard pairs, {at}"
+        own = f"{row['estimator']} on our matches"
+        return f"{own} is at least {percent(wanted)} ahead of the best peer on hard pairs, {at}"
     return f"precision of the top 100 at least {wanted:+.2f} over Lowe's order, all pairs"
 
 
@@ -68,7 +74,8 @@ def _found(row: Mapping[Any, Any]) -> str:
         return f"{kept}; lowest is {row['estimator']}: {contribution_cell(interval, 'found')}"
     if row["kind"] == CHAMPION:
         limit = "" if np.isinf(row["possible"]) else f"; {percent(row['possible'])} if it solved every pair"
-        return f"{contribution_cell(interval, 'found')} over {row['against']}{limit}"
+        estimator, _, name = str(row["against"]).partition(" on ")
+        return f"{contribution_cell(interval, 'found')} over {estimator} on {input_name(name)}{limit}"
     return f"{row['found']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]; {row['possible']:+.2f} if all were right"
 
 
@@ -98,7 +105,7 @@ def success_rows(at: pd.DataFrame) -> list[list[str]]:
         Estimator; successes without, and on every other input; contribution of ours over without with its interval;
         scene shares without and with ours, and their difference with its interval.
     """
-    others = [name for name in order_of(at["input"]) if name not in WITHOUT]
+    others = _others(at)
     rows = []
     for estimator, part in at.groupby("estimator", sort=False):
         cells = {str(row["input"]): row for row in part.to_dict("records")}
@@ -107,16 +114,28 @@ def success_rows(at: pd.DataFrame) -> list[list[str]]:
         found = [without, *(cells.get(name) for name in others)]
         texts = ["" if row is None else f"{row['successes']:.1f} ± {row['successes_sd']:.1f}" for row in found]
         scenes = f"{share(without['scene_share'])} → {share(ours['scene_share'])}"
-        low, value, high = (100 * ours[f"scene_gain{end}"] for end in ("_low", "", "_high"))
-        change = f"{value:+.0f} [{low:+.0f}, {high:+.0f}]"
+        change = _gain(ours, "scene_gain", 100, 0)
         rows.append([str(estimator), *texts, contribution_cell(ours, "gain"), scenes, change])
     return rows
 
 
 def success_head(at: pd.DataFrame) -> list[str]:
     """Return the head of `success_rows`."""
-    others = [input_name(name) for name in order_of(at["input"]) if name not in WITHOUT]
+    others = [input_name(name) for name in _others(at)]
     return ["estimator", "without", *others, "ours over without", "per scene", "points"]
+
+
+def _others(at: pd.DataFrame) -> list[str]:
+    """Return the inputs beside the one without preprocessing, ours last."""
+    return sorted((name for name in order_of(at["input"]) if name not in WITHOUT), key=lambda name: name == OURS)
+
+
+def _gain(row: Mapping[Any, Any], name: str, factor: float, digits: int) -> str:
+    """Return ``+0.14 [+0.09, +0.18]``; empty without a value, without brackets where there is no interval."""
+    value, low, high = (factor * row.get(f"{name}{end}", np.nan) for end in ("", "_low", "_high"))
+    if np.isnan(value):
+        return ""
+    return f"{value:+.{digits}f}" + ("" if np.isnan(low) else f" [{low:+.{digits}f}, {high:+.{digits}f}]")
 
 
 def report_markdown(bounds: pd.DataFrame, sets: pd.DataFrame, successes: pd.DataFrame, rankings: pd.DataFrame) -> str:
@@ -128,9 +147,10 @@ def report_markdown(bounds: pd.DataFrame, sets: pd.DataFrame, successes: pd.Data
         "numbers of pairs whose error (mean over control points of the root of the Sampson distance) is below the",
         "threshold: mean over seeds ± one standard deviation. `without`: X_L of the paper, or all matches above a",
         "similarity for `generalized-ransac`. Contributions are (with - without) / without, with 95 % bootstrap",
-        "intervals over scenes. `per scene`: share of successes, averaged over scenes, without → ours, and its change",
-        "in percentage points: pairs of one scene are alike, and some scenes have many. Splits follow from the ground",
-        "truth alone: the share of right matches in X_L is above 0.5 (easy), 0.2 to 0.5 (medium), below 0.2 (hard).",
+        "intervals over scenes, where there is more than one. `per scene`: share of successes, averaged over scenes,",
+        "without → ours, and its change in percentage points: pairs of one scene are alike, and some scenes have many.",
+        "Splits follow from the ground truth alone: the share of right matches in X_L is above 0.5 (easy), 0.2 to 0.5",
+        "(medium), below 0.2 (hard).",
         "",
         "## Bounds",
         "",
@@ -150,11 +170,16 @@ def report_markdown(bounds: pd.DataFrame, sets: pd.DataFrame, successes: pd.Data
         "",
         "## Rankings",
         "",
+        *RANKING_NOTE,
+        "",
         *ranking_lines(rankings),
     ]
     for threshold, at in successes.groupby("threshold_px", sort=False):
         lines += ["", f"## Below {threshold:g} px"]
-        for group, part in at.groupby("group", sort=False):
+        first = threshold == successes["threshold_px"].iloc[0]
+        lines += [] if first else ["", "By set: tables/successes.csv."]  # they would be hundreds of lines more
+        shown = at if first else at[at["group"].isin((*SPLITS, ALL))]
+        for group, part in shown.groupby("group", sort=False):
             title = group_title(str(group), int(part["pairs"].iloc[0]))
             lines += ["", f"### {title}", "", *markdown_table(success_head(part), success_rows(part))]
     return "\n".join(lines) + "\n"
@@ -164,15 +189,20 @@ def ranking_rows(rankings: pd.DataFrame) -> list[list[str]]:
     """Return the cells of each group and ranking."""
     rows = []
     for row in rankings.to_dict("records"):
-        gain = ""
-        if not np.isnan(row.get("precision_gain", np.nan)):
-            gain = f"{row['precision_gain']:+.2f} [{row['precision_gain_low']:+.2f}, {row['precision_gain_high']:+.2f}]"
         texts = [number(row[f"precision_{depth}"]) for depth in (10, 100, 500)]
-        texts += [number(row["scene_precision_100"]), number(row["average_precision"]), gain]
+        texts += [
+            number(row["scene_precision_100"]),
+            number(row["average_precision"]),
+            _gain(row, "precision_gain", 1, 2),
+        ]
         rows.append([str(row["group"]), input_name(str(row["ranking"])), str(row["pairs"]), *texts])
     return rows
 
 
+RANKING_NOTE = (
+    "A list that is shorter than 10, 100 or 500 counts as filled up with wrong matches, as in the paper. The average",
+    "precision does not: it is over the right matches that a list has, and so speaks well of short ones.",
+)
 RANKING_HEAD = (
     "group", "ranking", "pairs", "top 10", "top 100", "top 500", "top 100 per scene", "average precision",
     "top 100 over Lowe's order",

@@ -84,6 +84,8 @@ INPUT_LOOKS: Mapping[str, Look] = {
     "snn": Look("snn", "#0072b2", "--", "D"),
     "paper": Look("ours, as printed", "#e69f00", "-.", "^"),
     "default": Look("ours, default", "#d55e00", "-", "o"),
+    "adalam": Look("adalam", "#009e73", (0, (5, 1)), "P"),
+    "gms": Look("gms", "#56b4e9", (0, (3, 1, 1, 1)), "X"),
 }
 
 RANKING_LOOKS: Mapping[str, Look] = {

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from epiprior_lab.reports.performance import ALL, COLUMNS
 from epiprior_lab.reports.study import Study, errors_of, order_of
@@ -59,6 +60,7 @@ def _dots(axis: Axes, part: pd.DataFrame) -> None:
             ms=6 if name == "default" else 4.5, lw=0.9, mec="white", mew=0.6, zorder=3,
         )  # fmt: skip
     axis.set(xlim=(-0.03 * pairs, 1.03 * pairs), ylim=(-0.6, len(part) - 0.4))
+    axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))  # pairs are whole
     axis.set_yticks(y, [str(name) for name in part.index])
     axis.tick_params(axis="y", labelsize=8.5, labelcolor=INK)
     axis.grid(axis="y", visible=False)
@@ -102,6 +104,7 @@ def _curves(axis: Axes, results: pd.DataFrame, inputs: Sequence[str], limit_px: 
         axis.errorbar(at, mean, deviation, fmt="none", ecolor=look.colour, elinewidth=0.8, alpha=0.8)
     axis.axvline(10, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
     axis.set(xlim=(0, limit_px), ylim=(0, results["pair_id"].nunique() * 1.03))
+    axis.yaxis.set_major_locator(MaxNLocator(5, integer=True))
 
 
 def duel_figure(table: pd.DataFrame, champion: str, families: Sequence[str], path: Path) -> Path:

@@ -123,12 +123,13 @@ def verdict_figure(table: pd.DataFrame, path: Path) -> Path:
                 axis.bar(place, above, 0.9 * width, bottom=bottom, color=colour, alpha=0.45)
             axis.set_xticks(range(len(groups)), groups, rotation=20 if len(groups) > 3 else 0)
             axis.grid(axis="x", visible=False)
-            axis.set(title=title, ylim=(0, None))
+            axis.set(title=title, ylim=(0, 100 if kind == "wrong" else None))
         axes[0][0].set_ylabel("share of the runs, %")
         handles = [
             Patch(color=look.colour, label=look.label)
             for look in (look_of(INPUT_LOOKS, name, k) for k, name in enumerate(inputs))
         ]
         handles += [Patch(color=MUTED, label="degenerate"), Patch(color=MUTED, alpha=0.45, label="no_model")]
-        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+        rows = 1 if len(handles) <= 6 else 2  # more do not fit side by side
+        figure.legend(handles=handles, loc="outside upper center", ncols=-(-len(handles) // rows))
         return save(figure, path)

@@ -27,10 +27,14 @@ def percent(value: float) -> str:
 
 
 def contribution_cell(row: Mapping[Any, Any], name: str) -> str:
-    """Return ``+45 % [+12 %, +90 %]`` of the columns `name`, `name`_low and `name`_high; empty without numbers."""
+    """Return ``+45 % [+12 %, +90 %]`` of the columns `name`, `name`_low and `name`_high.
+
+    Empty without numbers; without brackets where there is no interval.
+    """
     if np.isnan(row[name]):
         return ""
-    return f"{percent(row[name])} [{percent(row[f'{name}_low'])}, {percent(row[f'{name}_high'])}]"
+    low, high = row[f"{name}_low"], row[f"{name}_high"]
+    return percent(row[name]) + ("" if np.isnan(low) else f" [{percent(low)}, {percent(high)}]")
 
 
 def difference_cell(row: Mapping[Any, Any], name: str = "difference") -> str:
