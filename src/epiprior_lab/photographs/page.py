@@ -134,7 +134,7 @@ def _geometry_block(geometry: pd.DataFrame, params: RealReportParams) -> Block:
             rows.append([str(row["estimator"]), input_name(str(row["input"])), *cells])
         first = part.iloc[0]
         title = f"{group} pairs ({first['cameras']} with cameras, {first['true_F']} with a true F)"
-        groups.append({"title": title, "rows": rows})
+        groups.append({"name": str(group), "title": title, "rows": rows})
     head = ["estimator", "input"]
     for limit in params.pose_deg:
         head += [f"pose, AUC {limit:g}°", "per scene"]
@@ -161,7 +161,8 @@ def _cascade_block(cascade: pd.DataFrame, threshold_px: float) -> Block:
             + [share(1 - row["preprocessed"])]
             for row in part.to_dict("records")
         ]
-        groups.append({"title": group_title(group, int(part["pairs"].iloc[0])), "rows": rows})
+        title = group_title(group, int(part["pairs"].iloc[0]))
+        groups.append({"name": group, "title": title, "rows": rows})
     head = ("estimator", "without", "always", "cascade", "lost", "won", "cascade over always", "runs skipped")
     return {"threshold": threshold_px, "head": head, "groups": groups}
 

@@ -96,7 +96,7 @@ class Photographs:
         return order_of(self.results["estimator"])
 
     def inputs(self, estimator: str) -> list[str]:
-        """Return the inputs of one estimator; the one without preprocessing first.
+        """Return the inputs of one estimator; the one without preprocessing first, ours last.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class Photographs:
         known = order_of(self.results.loc[self.results["estimator"] == estimator, "input"])
         if not set(known) & set(WITHOUT):
             raise ReportError(f"results of {estimator}: no input of {', '.join(WITHOUT)}")
-        return sorted(known, key=lambda name: name not in WITHOUT)
+        return sorted(known, key=lambda name: (name not in WITHOUT, name == OURS))
 
 
 def _table(path: Path, columns: str) -> pd.DataFrame:

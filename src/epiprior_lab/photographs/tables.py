@@ -13,6 +13,7 @@ import pandas as pd
 from epiprior.types import BoolArray, FloatArray
 from epiprior_lab.datasets import known_sets
 from epiprior_lab.photographs.results import (
+    OURS,
     Photographs,
     distance_runs,
     error_runs,
@@ -195,9 +196,8 @@ def ranking_table(photographs: Photographs, *, draws: int, seed: int) -> pd.Data
     member_of = {group: set(photographs.pairs["pair"][member]) for group, member in photographs.groups.items()}
     for group, members in member_of.items():
         part = photographs.rankings[photographs.rankings["pair"].isin(members)]
-        tables = {
-            name: part[part["ranking"] == name].set_index("pair").sort_index() for name in order_of(part["ranking"])
-        }
+        names = sorted(order_of(part["ranking"]), key=lambda name: name == OURS)
+        tables = {name: part[part["ranking"] == name].set_index("pair").sort_index() for name in names}
         for ranking, table in tables.items():
             row: dict[str, Any] = {"group": group, "ranking": ranking, "pairs": len(table)}
             row |= {name: float(table[name].mean()) for name in RANKING_MEASURES}

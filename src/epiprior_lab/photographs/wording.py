@@ -105,7 +105,7 @@ def success_rows(at: pd.DataFrame) -> list[list[str]]:
         Estimator; successes without, and on every other input; contribution of ours over without with its interval;
         scene shares without and with ours, and their difference with its interval.
     """
-    others = _others(at)
+    others = [name for name in order_of(at["input"]) if name not in WITHOUT]
     rows = []
     for estimator, part in at.groupby("estimator", sort=False):
         cells = {str(row["input"]): row for row in part.to_dict("records")}
@@ -121,13 +121,8 @@ def success_rows(at: pd.DataFrame) -> list[list[str]]:
 
 def success_head(at: pd.DataFrame) -> list[str]:
     """Return the head of `success_rows`."""
-    others = [input_name(name) for name in _others(at)]
+    others = [input_name(name) for name in order_of(at["input"]) if name not in WITHOUT]
     return ["estimator", "without", *others, "ours over without", "per scene", "points"]
-
-
-def _others(at: pd.DataFrame) -> list[str]:
-    """Return the inputs beside the one without preprocessing, ours last."""
-    return sorted((name for name in order_of(at["input"]) if name not in WITHOUT), key=lambda name: name == OURS)
 
 
 def _gain(row: Mapping[Any, Any], name: str, factor: float, digits: int) -> str:
