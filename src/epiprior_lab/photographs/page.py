@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 import pandas as pd
 
 import epiprior
@@ -70,7 +71,7 @@ def write_page(
             calibration=_calibration_block(tables.calibration),
             cascade=_cascade_block(tables.cascade, params.success_px),
             verdicts={"head": VERDICT_HEAD, "rows": verdict_rows(named(_of_all(tables.verdicts)))},
-            estimators=tables.estimators.to_dict("records"),
+            estimators=[_estimator(row) for row in tables.estimators.to_dict("records")],
             cases=[_case(case, "gallery", "png") for case in cases],
             peers=[name for name in order_of(tables.successes["input"]) if name not in INPUTS],
             params=params,
@@ -98,6 +99,12 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+
+
+def _estimator(row: Mapping[Any, Any]) -> list[str]:
+    told = "" if np.isnan(row["hypotheses"]) else f"{row['hypotheses']:,.0f}"
+    once = "once" if row["deterministic"] else "per seed"
+    return [str(row["estimator"]), str(row["backend"]), f"{row['max_iterations']:,}", told, once]
 
 
 def _success_block(successes: pd.DataFrame, threshold_px: float) -> Block:

@@ -50,9 +50,16 @@ def make_tables(photographs: Photographs, rules: Mapping[str, CascadeRule], para
         rankings=rankings,
         calibration=calibration_table(photographs),
         cascade=real_cascade_table(photographs, rules, params),
-        estimators=estimator_table(photographs.estimators),
+        estimators=_estimators(photographs),
         verdicts=group_verdicts(photographs, params.success_px),
     )
+
+
+def _estimators(photographs: Photographs) -> pd.DataFrame:
+    """Return what stands behind each name, and ``hypotheses``, the median over its runs where its backend tells."""
+    counts = photographs.results.groupby("estimator")["iterations"].median()
+    table = estimator_table(photographs.estimators)
+    return table.assign(hypotheses=counts.reindex(table["estimator"]).to_numpy(np.float64))
 
 
 def real_cascade_table(

@@ -228,7 +228,7 @@ def calibration_table(photographs: Photographs) -> pd.DataFrame:
 
 def group_verdicts(photographs: Photographs, threshold_px: float) -> pd.DataFrame:
     """Return what the verdict makes of right and of wrong F, by group: see `epiprior_lab.reports.verdicts`."""
-    results = photographs.results
+    results = photographs.results.sort_values("input", key=lambda names: names == OURS, kind="stable")  # ours last
     members = {group: set(photographs.pairs["pair"][member]) for group, member in photographs.groups.items()}
     return verdict_table({group: results[results["pair"].isin(own)] for group, own in members.items()}, threshold_px)
 
