@@ -9,6 +9,7 @@ References: paper, "General performance"; Efron and Tibshirani, An Introduction 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -104,10 +105,17 @@ def bootstrap_weights(n: int, *, draws: int, seed: int, groups: Sequence[str] | 
         raise SettingsError(f"bootstrap of {n} observations in {draws} draws: both must be at least 1")
     if groups is not None and len(groups) != n:
         raise SettingsError(f"bootstrap: {len(groups)} groups for {n} observations")
+    return _weights(n, draws, seed, None if groups is None else tuple(groups))
+
+
+@functools.lru_cache(maxsize=4)  # tables hold several inputs against one under the same draw
+def _weights(n: int, draws: int, seed: int, groups: tuple[str, ...] | None) -> FloatArray:
     _, group = np.unique(np.arange(n) if groups is None else np.asarray(groups, str), return_inverse=True)
     number = int(group.max()) + 1
     counts = np.random.default_rng(seed).multinomial(number, np.full(number, 1 / number), size=draws)[:, group]
-    return np.asarray(counts / counts.sum(axis=1, keepdims=True))
+    weights: FloatArray = counts / counts.sum(axis=1, keepdims=True)
+    weights.flags.writeable = False
+    return weights
 
 
 def _interval(value: float, samples: FloatArray, level: float) -> Interval:

@@ -250,7 +250,7 @@ def pair_table(photographs: Photographs) -> pd.DataFrame:
     )
     grouped = table.groupby(keys, sort=False)
     means = grouped.agg(found=("has_F", "sum"), distance=("distance", "mean"), pose_deg=("pose_deg", "mean"))
-    errors = table.pivot_table(index=keys, columns="seed", values="error_px", sort=False, dropna=False, aggfunc="first")
+    errors = table.set_index([*keys, "seed"])["error_px"].unstack("seed")  # a pivot would make room for all products
     errors.columns = pd.Index([f"error_px_{seed}" for seed in errors.columns])
     wide = means[["found"]].join(errors).join(means[["distance", "pose_deg"]]).reset_index()
     about = photographs.pairs[["set", "pair_id", "split", "labels", "right_share"]]

@@ -136,4 +136,4 @@ def success_rates(results: pd.DataFrame, threshold_px: float, **where: Any) -> t
 
 def order_of(values: pd.Series[Any]) -> list[str]:
     """Return the different values of a column in the order in which they first appear."""
-    return [str(value) for value in dict.fromkeys(values)]
+    return [str(value) for value in values.unique()]
