@@ -145,7 +145,7 @@ def write_peer_matches(
         )
         for part in parts
     ]
-    matched = map_tasks(match_by_peers, tasks, workers=workers, description="peers", store=store)
+    matched = map_tasks(match_by_peers, tasks, workers=workers, description=f"peers of {out.name}", store=store)
     for part, found in zip(parts, matched, strict=True):
         for pair, of_pair in zip(part, found, strict=True):
             _save(out, pair.pair_id, dict(zip(rankers, of_pair, strict=True)))
