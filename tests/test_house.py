@@ -164,5 +164,6 @@ def test_nothing_phones_home():
     assert re.search(r"analytics\s*=\s*false", config)
     assert "remote" not in config
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for line in ("DVC_NO_ANALYTICS := 1", "MLFLOW_DISABLE_TELEMETRY := true", "DO_NOT_TRACK := 1"):
-        assert f"export {line}" in makefile
+    for name in ("DVC_NO_ANALYTICS := 1", "MLFLOW_DISABLE_TELEMETRY := true", "DO_NOT_TRACK := 1"):
+        assert f"export {name}" in makefile
+    assert "export ORT_DISABLE_TELEMETRY := 1" in makefile

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,10 @@ if TYPE_CHECKING:
     from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
 
 __version__ = metadata.version("epiprior")
+
+# onnxruntime 1.29 and later report what they run unless this is set before they are loaded. Nothing here phones home;
+# and the thread that reports draws from the C library's rand(), in the middle of pydegensac's seeded draws.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 # Names are imported when they are first used, so that `epiprior --help` need not wait for compiled libraries.
 _HOMES = {
