@@ -108,3 +108,32 @@ def one_to_one(feature1, feature2):
             used1.add(a)
             used2.add(b)
     return keep
+
+
+def coherence(x1, x2, scale1, scale2, location1, weights, roll, near, far):
+    """Sum and share of what the nearest asked locations say for each match, near and far."""
+    asked = [m for m in range(len(x1)) if weights[m] >= 0.02]
+    places = sorted({location1[m] for m in asked})
+    members = {p: [m for m in asked if location1[m] == p] for p in places}
+    turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
+    out = []
+    for m in range(len(x1)):
+        distance = {p: np.hypot(*(x1[members[p][0]] - x1[m])) for p in places}
+        order = sorted(places, key=lambda p: (distance[p], p))
+        row = []
+        for count in (near, far):
+            agreement = most = 0.0
+            for p in order[: count + 1]:
+                if not 2.0 <= distance[p] <= 300.0:
+                    continue
+                said = [0.0]
+                for n in members[p]:
+                    v = x1[n] - x1[m]
+                    s = np.sqrt(scale2[m] / scale1[m] * scale2[n] / scale1[n])
+                    e = np.hypot(*(x2[n] - x2[m] - s * turn @ v)) / (s * np.hypot(*v))
+                    said.append(weights[n] * (1 - (e / 0.4) ** 2))
+                agreement += max(said)
+                most += max(weights[n] for n in members[p])
+            row += [agreement, agreement / (most + 0.5)]
+        out.append(row)
+    return np.array(out)

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from epiprior.estimators import run
-from epiprior.estimators.epiprior_evidence import Evidence, match_weights
-from epiprior.estimators.epiprior_kernels import fit_weighted, refine_models
+from epiprior.estimators.epiprior_evidence import Evidence, match_weights, spread_evidence, spread_groups
+from epiprior.estimators.epiprior_kernels import climb, fit_weighted, refine_models
 from epiprior.estimators.epiprior_plane import models_of_plane, plane_and_parallax
 from epiprior.estimators.epiprior_proposals import fit_samples, oriented_pairs, progressive_rows
+from epiprior.estimators.samplers import generator_state
 from epiprior.geometry import eight_point, normalise_fundamental, sampson_distance
+from epiprior.plausibility import camera_plausibility
 from epiprior.types import FloatArray, Status
 from naive import sampson
 from synthetic import make_matches, make_pair, project, rotation
@@ -33,41 +35,48 @@ def perturbed(F: FloatArray, count: int, size: float, seed: int = 0) -> FloatArr
 # The kernels and their naive twins.
 
 
-def naive_score(F, x1, x2, weights, feature, threshold, rival):
-    """Best match of each feature, times the cube of the share of its rivals that do not agree."""
-    total = 0.0
-    for f in sorted(set(feature)):
-        rows = [i for i in range(len(x1)) if feature[i] == f]
-        r = [sampson(F, x1[i], x2[i]) for i in rows]
-        best = max(max(weights[i] * (1 - (r[k] / threshold) ** 2), 0.0) for k, i in enumerate(rows))
-        agreeing = max(sum(value < rival for value in r) - 1, 0)
-        total += best * (1 - agreeing / (len(rows) - 1 + 0.3)) ** 3
-    return total
+def naive_score(F, x1, x2, weights, group, threshold):
+    """What the best match of each group says."""
+    said = dict.fromkeys(group, 0.0)
+    for g, a, b, w in zip(group, x1, x2, weights, strict=True):
+        said[g] = max(said[g], w * (1 - (sampson(F, a, b) / threshold) ** 2))
+    return sum(said.values())
 
 
-@pytest.mark.parametrize("candidates", [1, 3])
-def test_scores_are_those_of_the_naive_twin(candidates):
+@pytest.mark.parametrize("size", [1, 3])
+def test_scores_are_those_of_the_naive_twin(size):
     pair = make_pair(inliers=60, outliers=60)
     m = pair.matches
-    feature = np.random.default_rng(0).permutation(120) // candidates
+    group = np.random.default_rng(0).permutation(120) // size
     models = perturbed(pair.F, 150, 0.02)
-    found = Evidence.of(m.x1, m.x2, m.probability, feature).scores(models, 3.0, 5.0)
-    wanted = [naive_score(F, m.x1, m.x2, m.probability, feature, 3.0, 5.0) for F in models[::10]]
+    found = Evidence.of(m.x1, m.x2, m.probability, group).scores(models, 3.0)
+    wanted = [naive_score(F, m.x1, m.x2, m.probability, group, 3.0) for F in models[::10]]
     assert found[::10] == pytest.approx(wanted, abs=0.01, rel=1e-3)
     assert found.max() > 5
 
 
-def test_rivals_that_agree_take_a_match_its_voice():
-    """One feature with four candidates on its epipolar line, one with a single candidate on it."""
-    F = make_pair().F
-    x1 = np.array([[300.0, 200.0]] * 4 + [[600.0, 500.0]])
-    line = np.column_stack([x1, np.ones(5)]) @ F.T
-    u = np.array([100.0, 300.0, 500.0, 700.0, 400.0])
-    x2 = np.column_stack([u, -(line[:, 0] * u + line[:, 2]) / line[:, 1]])
-    crowd = Evidence.of(x1[:4], x2[:4], np.ones(4), np.zeros(4, np.int64))
-    alone = Evidence.of(x1[4:], x2[4:], np.ones(1), np.zeros(1, np.int64))
-    assert alone.scores(F[None], 2.0) == pytest.approx([1.0], abs=1e-3)
-    assert crowd.scores(F[None], 2.0) == pytest.approx([(1 - 3 / 3.3) ** 3], abs=1e-3)
+def test_groups_are_parts_of_both_images():
+    x1 = np.array([[10.0, 10.0], [40.0, 40.0], [10.0, 10.0], [60.0, 10.0]])
+    x2 = np.array([[10.0, 10.0], [20.0, 30.0], [100.0, 10.0], [10.0, 10.0]])
+    a, b, c, d = spread_groups(x1, x2)
+    assert a == b
+    assert len({a, c, d}) == 3
+    assert spread_groups(x1[:0], x2[:0]).shape == (0,)
+
+
+def test_a_crowd_speaks_once_and_an_implausible_camera_less():
+    pair = make_pair(inliers=50, outliers=0, noise_px=0.0)
+    m = replace(pair.matches, probability=np.full(50, 0.5))
+    crowd = m.take(np.zeros(30, np.int64))
+    crowd = replace(crowd, feature1=np.arange(30), feature2=np.arange(30))
+    assert spread_evidence(pair.F, crowd) == pytest.approx(spread_evidence(pair.F, m.take(slice(1))), rel=1e-4)
+    sizes = ((1024, 768), (1024, 768))
+    stretched = replace(m, image_sizes=((1024, 768), (102400, 76800)))
+    assert spread_evidence(pair.F, m) > spread_evidence(pair.F, stretched)
+    plausible = camera_plausibility(pair.F[None], sizes)[0]
+    assert spread_evidence(pair.F, replace(m, image_sizes=sizes)) == pytest.approx(
+        plausible * spread_evidence(pair.F, m)
+    )
 
 
 def test_weights_grow_with_probability_and_doubt_clusters():
@@ -125,6 +134,24 @@ def test_refinement_is_that_of_the_naive_twin():
     refine_models(refined, m.x1, m.x2, m.probability, np.array(thresholds))
     for before, after in zip(start, refined, strict=True):
         assert same_up_to_sign(after, naive_refinement(before, m.x1, m.x2, m.probability, thresholds), 1e-7)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_climbing_returns_the_score_of_what_it_returns_and_never_less(seed):
+    pair = make_pair(inliers=80, outliers=80, seed=seed)
+    m = pair.matches
+    group = np.sort(np.random.default_rng(seed).integers(0, 60, 160))
+    start = perturbed(pair.F, 1, 0.03, seed)[0]
+    thresholds = np.array([3.0, 2.0, 1.5, 1.5])
+    args = (m.x1, m.x2, m.probability, m.probability, group)
+    scores, errors = [], []
+    for samples in (0, 30):
+        F = start.copy()
+        scores.append(climb(F, *args, 2.0, thresholds, 3.0, samples, generator_state(1)))
+        errors.append(pair.error_px(normalise_fundamental(F)))
+        assert scores[-1] == pytest.approx(naive_score(F, m.x1, m.x2, m.probability, group, 2.0), rel=1e-6)
+    assert naive_score(start, m.x1, m.x2, m.probability, group, 2.0) <= scores[0] <= scores[1]
+    assert errors[1] < 0.5 < pair.error_px(normalise_fundamental(start))
 
 
 def test_samples_are_fitted_exactly():

@@ -46,7 +46,7 @@ def test_the_set_is_sorted_and_its_top_is_right(ranked):
 
 def test_every_step_is_timed(ranked):
     names = {"features", "standard matches", "roll", "fixed orientation", "clusters", "putative matches"}
-    names |= {"2keypoints", "2keypoint classifier", "votes", "probabilities"}
+    names |= {"coherence", "2keypoints", "2keypoint classifier", "votes", "probabilities"}
     assert set(ranked.seconds) == names
     assert min(ranked.seconds.values()) > 0
 

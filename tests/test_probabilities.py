@@ -1,10 +1,13 @@
 import numpy as np
 import pytest
 
+from epiprior.coherence import COLUMNS as COHERENCE
+from epiprior.frames import MatchFrames
 from epiprior.probabilities import (
     DEFAULT_MATCH_COLUMNS,
     _best_rival,
     match_table,
+    pair_columns,
     standard_table,
     two_keypoint_scores,
     unite,
@@ -71,6 +74,15 @@ def test_standard_table_equals_naive(seed):
     assert 0 < table.mutual.sum() < len(keys)
 
 
+def frames_of(n, rng=None):
+    rng = rng or np.random.default_rng(0)
+    return MatchFrames(
+        x1=rng.random((n, 2)), x2=rng.random((n, 2)), scale1=1 + rng.random(n), scale2=1 + rng.random(n),
+        orientation1_rad=rng.random(n), orientation2_rad=rng.random(n), similarity=rng.random(n),
+        fixed_similarity=rng.random(n), roll_rad=0.0,
+    )  # fmt: skip
+
+
 def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
     rng = np.random.default_rng(0)
     d1, d2 = unit(rng, 12), unit(rng, 12)
@@ -82,9 +94,10 @@ def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
     in_x = list(zip(X.feature1.tolist(), X.feature2.tolist(), strict=True))
     assert pairs == sorted(set(in_x) | set(standard))
     sfm = np.arange(1, len(X) + 1)
-    zeros = np.zeros(len(union))
+    frames = frames_of(len(union), rng)
+    around = rng.random((len(union), 4))
     scores = (np.linspace(0, 1, len(X)), np.linspace(0, 2, len(X)))
-    kpmd = match_table(union, table, sfm, sfm / 2, scores, (zeros, zeros, zeros, zeros))
+    kpmd = match_table(union, frames, table, sfm, sfm / 2, scores, around, (0.9, 0.5, 0.2))
     assert kpmd.columns == DEFAULT_MATCH_COLUMNS
     for row, pair in enumerate(pairs):
         votes, ratio, weight, mutual = kpmd.descriptors[row, :4]
@@ -96,6 +109,20 @@ def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
     assert kpmd.column("relative_support").max() == 1
     rivals = [sum((a == p) != (b == q) for p, q in pairs) for a, b in pairs]
     assert kpmd.column("rivals").tolist() == rivals
+    np.testing.assert_allclose(kpmd.column("scale_change"), np.abs(np.log(frames.scale2 / frames.scale1)), rtol=1e-6)
+    np.testing.assert_allclose(kpmd.select(COHERENCE), around, rtol=1e-6)
+    assert np.unique(kpmd.select(("pair_two_keypoints", "pair_support")), axis=0) == pytest.approx(
+        np.array([[0.5, 0.2]])
+    )
+
+
+def test_pair_columns():
+    strengths = np.array([0.9] * 10 + [0.1] * 2)
+    pairs = [a * b for k, a in enumerate(strengths) for b in strengths[k + 1 :]]
+    best, mean, support = pair_columns(strengths, np.array([3.0, sum(pairs) / 2]))
+    assert (best, mean, support) == pytest.approx((0.9, strengths.mean(), 0.5))
+    assert pair_columns(np.empty(0), np.empty(0)) == (0.0, 0.0, 0.0)
+    assert pair_columns(np.array([0.7]), np.zeros(3)) == (0.7, 0.7, 0.0)
 
 
 def test_best_rival_equals_naive():
@@ -122,5 +149,8 @@ def test_nothing_at_all():
     table = standard_table(*nearest_neighbours(none, none), (np.empty(0, np.int64),) * 2, 0.9)
     union = unite(putative(set(), 0, 0), table)
     empty = np.empty(0)
-    kpmd = match_table(union, table, np.empty(0, np.int64), empty, (empty, empty), (empty,) * 4)
+    none_around = np.empty((0, 4))
+    kpmd = match_table(
+        union, frames_of(0), table, np.empty(0, np.int64), empty, (empty, empty), none_around, (0.0, 0.0, 0.0)
+    )
     assert kpmd.descriptors.shape == (0, len(DEFAULT_MATCH_COLUMNS))

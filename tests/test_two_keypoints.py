@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import naive
+from epiprior.coherence import COLUMNS as COHERENCE
 from epiprior.frames import MatchFrames
 from epiprior.putative import PutativeMatches
 from epiprior.two_keypoints import (
@@ -87,7 +88,7 @@ def test_matches_and_descriptors_equal_naive(seed):
     assert set(found) == expected
 
     same = scene1[2][X.feature1[main]] == scene1[2][X.feature1[other]]
-    described = describe_two_keypoint_matches(X, frames, main, other, same, extended=False)
+    described = describe_two_keypoint_matches(X, frames, main, other, same)
     assert described.columns == PAPER_COLUMNS
     for row, (p1, n1, p2, n2) in enumerate(found):
         m = main[row]
@@ -110,7 +111,8 @@ def test_extended_columns():
     X = random_X(1)
     frames = frames_of(X, scene1, scene2, np.random.default_rng(1))
     main, other = match_two_keypoints(X, neighbourhoods(*scene1), neighbourhoods(*scene2))
-    table = describe_two_keypoint_matches(X, frames, main, other, np.zeros(len(main), bool), extended=True)
+    around = np.random.default_rng(2).random((len(X), 4))
+    table = describe_two_keypoint_matches(X, frames, main, other, np.zeros(len(main), bool), around)
     assert table.columns == DEFAULT_COLUMNS
     assert table.descriptors.shape == (len(main), len(DEFAULT_COLUMNS))
     changes = np.log(frames.scale2 / frames.scale1)
@@ -119,6 +121,9 @@ def test_extended_columns():
     )
     turn = np.abs(table.select(("turn_difference", "roll_error_main")))
     assert turn.max() <= np.pi + 1e-5
+    for name, rows in (("main", main), ("neighbour", other)):
+        columns = tuple(f"{column}_{name}" for column in COHERENCE)
+        np.testing.assert_allclose(table.select(columns), around[rows], rtol=1e-6)
 
 
 def test_a_pair_and_its_swap_count_once_and_ties_are_broken():
@@ -126,7 +131,7 @@ def test_a_pair_and_its_swap_count_once_and_ties_are_broken():
     X = random_X(1)
     frames = frames_of(X, scene1, scene2, np.random.default_rng(1))
     main, other = match_two_keypoints(X, neighbourhoods(*scene1), neighbourhoods(*scene2))
-    pairs = describe_two_keypoint_matches(X, frames, main, other, np.zeros(len(main), bool), extended=False)
+    pairs = describe_two_keypoint_matches(X, frames, main, other, np.zeros(len(main), bool))
     probability = np.round(np.random.default_rng(0).random(len(pairs)), 1)
     chosen = best_two_keypoint_matches(pairs, probability, 30)
     assert len({frozenset((int(main[k]), int(other[k]))) for k in chosen}) == len(chosen) == 30

@@ -48,6 +48,7 @@ def _nearest_set(prepared: PreparedPair, rows: IntArray) -> MatchSet:
         similarity_weight=similarity_weights(forward, prepared.backward)[rows],
         similarity=forward.best[rows].astype(np.float64),
         two_keypoint_probability=np.zeros(n),
+        image_sizes=(f1.image_size, f2.image_size),
     )
 
 
@@ -195,6 +196,7 @@ def generalized_matches(
         similarity_weight=np.where(nearest, weights[rows], 0.0),
         similarity=similarity[order],
         two_keypoint_probability=np.zeros(len(rows)),
+        image_sizes=(f1.image_size, f2.image_size),
     )
 
 

@@ -11,13 +11,13 @@ import numpy as np
 from epiprior.chance import chance_rate
 from epiprior.errors import SettingsError
 from epiprior.estimators import EstimatorSettings, fit
-from epiprior.estimators.epiprior_evidence import telling_score
+from epiprior.estimators.epiprior_evidence import spread_evidence
 from epiprior.estimators.registry import Fit
 from epiprior.estimators.verdict import judge
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior.handover import HandOver, hand_over
 from epiprior.refine import refine_fundamental
-from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
+from epiprior.types import FloatArray, FundamentalEstimate, ImageSizes, MatchSet, Status
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ def estimate_from_matches(
     Notes
     -----
     Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F
-    decides, each weighted by its probability and held against the other candidates of its features
+    decides, each weighted by its probability and each part of the images once, times the plausibility of the cameras
     (`epiprior.estimators.epiprior_evidence`). A thousand improbable matches then weigh less than fifty good ones.
     """
     if not sets:
@@ -117,7 +117,15 @@ def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:
         scale1=matches.scale1 * factor1,
         scale2=matches.scale2 * factor2,
         rough_matrices=D2 @ matches.rough_matrices @ D1,
+        image_sizes=_scaled_sizes(matches.image_sizes, factor1, factor2),
     )
+
+
+def _scaled_sizes(sizes: ImageSizes | None, factor1: float, factor2: float) -> ImageSizes | None:
+    if sizes is None:
+        return None
+    (width1, height1), (width2, height2) = sizes
+    return (width1 * factor1, height1 * factor1), (width2 * factor2, height2 * factor2)
 
 
 def _to_given_pixels(F: FloatArray, factors: tuple[float, float]) -> FloatArray | None:
@@ -139,7 +147,7 @@ def _try(matches: MatchSet, estimator: str, seed: int, how: HandOver, settings: 
     if how.refine:
         F = refine_fundamental(F, wide.x1, wide.x2, weights)
     if how.collect:
-        score = telling_score(F, matches)
+        score = spread_evidence(F, matches)
         wide = _worth_having(F, wide, weights, settings.threshold_px)
     else:
         score = float(np.count_nonzero(sampson_distance(F, wide.x1, wide.x2) < settings.threshold_px))

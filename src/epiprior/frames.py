@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numba
 import numpy as np
 
 from epiprior.features import unique_locations
-from epiprior.types import Features, Float32Array, FloatArray, IntArray
+from epiprior.types import BoolArray, Features, Float32Array, FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +43,22 @@ class MatchFrames:
 
     def __len__(self) -> int:
         return len(self.x1)
+
+    @property
+    def roll_error(self) -> FloatArray:
+        """Deviation of each match's turn from the roll hypothesis, radians in [0, pi]."""
+        turn = self.orientation2_rad - self.orientation1_rad - self.roll_rad
+        return np.asarray(np.abs(np.angle(np.exp(1j * turn))))
+
+    @property
+    def scale_change(self) -> FloatArray:
+        """Log of the scale of image 2 over that of image 1."""
+        return np.asarray(np.log(self.scale2 / self.scale1))
+
+    def take(self, index: IntArray | BoolArray) -> MatchFrames:
+        """Return the rows at `index`, in that order."""
+        rows = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "roll_rad"}
+        return replace(self, **rows)
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,21 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from epiprior.clusters import Clusters, cluster_features
+from epiprior.coherence import coherence, descriptor_weights
 from epiprior.features import describe_at_orientation
 from epiprior.frames import MatchFrames, match_frames
 from epiprior.pair import PreparedPair, both_images, unit_descriptors
 from epiprior.presets import DEFAULT, PreprocessSettings
-from epiprior.probabilities import MatchTable, StandardTable, Union, match_table, two_keypoint_scores, unite
+from epiprior.probabilities import (
+    MatchTable,
+    StandardTable,
+    Union,
+    lookup,
+    match_table,
+    pair_columns,
+    two_keypoint_scores,
+    unite,
+)
 from epiprior.putative import PutativeMatches, putative_matches
 from epiprior.stopwatch import Stopwatch
 from epiprior.two_keypoints import (
@@ -26,6 +36,26 @@ from epiprior.votes import count_votes, frame_points, rough_fundamental_matrices
 
 
 @dataclass(frozen=True, kw_only=True)
+class UnitedMatches:
+    """X, X_L and X_B of one roll hypothesis together (section 4.6).
+
+    Parameters
+    ----------
+    union : Union
+        M matches of locations.
+    frames : MatchFrames
+        Of each match.
+    """
+
+    union: Union
+    frames: MatchFrames
+
+    def frames_of_x(self) -> MatchFrames:
+        """Return the frames of the rows of X; the union keeps their order."""
+        return self.frames.take(self.union.in_x >= 0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Candidates:
     """What one roll hypothesis proposes.
 
@@ -33,21 +63,21 @@ class Candidates:
     ----------
     roll_deg : float
         The hypothesis.
-    fixed : tuple of ndarray
-        Unit descriptors of the locations of both images at its orientations.
     X : PutativeMatches
         Putative matches of locations.
     frames : MatchFrames
         Of the rows of X.
     two_keypoints : TwoKeypointMatches
         With their descriptors 2kpmd.
+    united : UnitedMatches
+        X, X_L and X_B together.
     """
 
     roll_deg: float
-    fixed: tuple[Float32Array, Float32Array]
     X: PutativeMatches
     frames: MatchFrames
     two_keypoints: TwoKeypointMatches
+    united: UnitedMatches
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +90,8 @@ class Votes:
         Working pixels.
     chosen : ndarray, shape (K,), int64
         The 2keypoint matches they come from, best first.
+    strengths : ndarray, shape (K,), float64
+        How probable these are, descending.
     sfm : ndarray, shape (len(X),), int64
         Number of supported matrices.
     weighted : ndarray, shape (len(X),), float64
@@ -70,6 +102,7 @@ class Votes:
 
     matrices: FloatArray
     chosen: IntArray
+    strengths: FloatArray
     sfm: IntArray
     weighted: FloatArray
     probability: FloatArray = field(repr=False)
@@ -104,28 +137,37 @@ def find_candidates(
         clusters1, clusters2 = both_images(cluster)
     with watch.step("putative matches"):
         X = putative_matches(clusters1, clusters2, *fixed, settings.max_matches_per_cluster_pair)
-        frames = _frames(prepared, X.feature1, X.feature2, fixed, roll_deg)
+        united = _unite(prepared, X, fixed, roll_deg)
+        frames = united.frames_of_x()
+    with watch.step("coherence"):
+        around = _descriptor_coherence(united, prepared.table) if settings.extended else None
     with watch.step("2keypoints"):
-        two_keypoints = _two_keypoints(prepared, X, frames, (clusters1.label, clusters2.label), settings)
-    return Candidates(roll_deg=roll_deg, fixed=fixed, X=X, frames=frames, two_keypoints=two_keypoints)
+        labels = (clusters1.label, clusters2.label)
+        two_keypoints = _two_keypoints(prepared, X, frames, labels, around, settings)
+    return Candidates(roll_deg=roll_deg, X=X, frames=frames, two_keypoints=two_keypoints, united=united)
 
 
-def _frames(
-    prepared: PreparedPair,
-    rows1: IntArray,
-    rows2: IntArray,
-    fixed: tuple[Float32Array, Float32Array],
-    roll_deg: float,
-) -> MatchFrames:
-    return match_frames(
-        rows1,
-        rows2,
+def _unite(
+    prepared: PreparedPair, X: PutativeMatches, fixed: tuple[Float32Array, Float32Array], roll_deg: float
+) -> UnitedMatches:
+    union = unite(X, prepared.table)
+    frames = match_frames(
+        union.location1,
+        union.location2,
         prepared.locations,
         prepared.orientation_rad,
         prepared.descriptors,
         fixed,
         float(np.deg2rad(roll_deg)),
     )
+    return UnitedMatches(union=union, frames=frames)
+
+
+def _descriptor_coherence(united: UnitedMatches, table: StandardTable) -> FloatArray:
+    """Return the coherence of each row of X, its neighbours weighted by what their descriptors say."""
+    union = united.union
+    weights = descriptor_weights(union.location1, union.location2, united.frames.fixed_similarity, union.ratios(table))
+    return coherence(united.frames, union.location1, weights)[union.in_x >= 0]
 
 
 def _two_keypoints(
@@ -133,9 +175,10 @@ def _two_keypoints(
     X: PutativeMatches,
     frames: MatchFrames,
     labels: tuple[IntArray, IntArray],
+    around: FloatArray | None,
     settings: PreprocessSettings,
 ) -> TwoKeypointMatches:
-    around = [
+    neighbours = [
         neighbourhoods(
             place.xy,
             place.scale,
@@ -147,10 +190,10 @@ def _two_keypoints(
         )
         for place, label in zip(prepared.locations, labels, strict=True)
     ]
-    main, other = match_two_keypoints(X, *around)
+    main, other = match_two_keypoints(X, *neighbours)
     same = labels[0][X.feature1[main]] == labels[0][X.feature1[other]]
     same &= labels[1][X.feature2[main]] == labels[1][X.feature2[other]]
-    return describe_two_keypoint_matches(X, frames, main, other, same, extended=settings.extended)
+    return describe_two_keypoint_matches(X, frames, main, other, same, around)
 
 
 def cast_votes(
@@ -178,51 +221,18 @@ def cast_votes(
     )
     F = rough_fundamental_matrices(y1, y2)
     i, j = np.triu_indices(len(chosen), 1)
-    weights = probability[chosen][i] * probability[chosen][j]
+    strengths = probability[chosen]
+    weights = strengths[i] * strengths[j]
     sfm, weighted = count_votes(F, frames.x1, frames.x2, settings.vote_threshold, weights)
-    return Votes(matrices=F, chosen=chosen, sfm=sfm, weighted=weighted, probability=probability)
-
-
-@dataclass(frozen=True, kw_only=True)
-class UnitedMatches:
-    """X, X_L and X_B of one roll hypothesis together, with all of kpmd that does not depend on a classifier.
-
-    Parameters
-    ----------
-    union : Union
-        M matches of locations.
-    frames : MatchFrames
-        Of each match.
-    roll_error : ndarray, shape (M,), float64
-        Deviation of the match's turn from the roll hypothesis, radians in [0, pi].
-    scale_change : ndarray, shape (M,), float64
-        Size of the log of the scale change.
-    """
-
-    union: Union
-    frames: MatchFrames
-    roll_error: FloatArray
-    scale_change: FloatArray
-
-
-def unite_matches(prepared: PreparedPair, candidates: Candidates) -> UnitedMatches:
-    """Unite X, X_L and X_B (section 4.6)."""
-    union = unite(candidates.X, prepared.table)
-    frames = _frames(prepared, union.location1, union.location2, candidates.fixed, candidates.roll_deg)
-    turn = frames.orientation2_rad - frames.orientation1_rad - frames.roll_rad
-    return UnitedMatches(
-        union=union,
-        frames=frames,
-        roll_error=np.abs(np.angle(np.exp(1j * turn))),
-        scale_change=np.abs(np.log(frames.scale2 / frames.scale1)),
-    )
+    return Votes(matrices=F, chosen=chosen, strengths=strengths, sfm=sfm, weighted=weighted, probability=probability)
 
 
 def describe_matches(
     united: UnitedMatches, table: StandardTable, two_keypoints: TwoKeypointMatches, votes: Votes
 ) -> MatchTable:
     """Describe every match by kpmd (section 4.6)."""
-    frames = united.frames
-    appearance = (frames.similarity, frames.fixed_similarity, united.roll_error, united.scale_change)
+    frames, union = united.frames, united.union
     scores = two_keypoint_scores(two_keypoints, votes.probability, len(votes.sfm))
-    return match_table(united.union, table, votes.sfm, votes.weighted, scores, appearance)
+    around = coherence(frames, union.location1, lookup(scores[0], union.in_x, 0.0))
+    pair = pair_columns(votes.strengths, votes.weighted)
+    return match_table(union, frames, table, votes.sfm, votes.weighted, scores, around, pair)

@@ -14,7 +14,6 @@ from epiprior.hypothesis import (
     cast_votes,
     describe_matches,
     find_candidates,
-    unite_matches,
 )
 from epiprior.models import RankingModel, load_model
 from epiprior.pair import PreparedPair, prepare_pair, roll_hypotheses
@@ -97,7 +96,7 @@ def _rank_one(
 
 def rank_voted(prepared: PreparedPair, candidates: Candidates, votes: Votes, model: RankingModel) -> MatchSet:
     """Return X, X_L and X_B together with their probabilities, best first (section 4.6), after the votes."""
-    united = unite_matches(prepared, candidates)
+    united = candidates.united
     table = describe_matches(united, prepared.table, candidates.two_keypoints, votes)
     probability = model.predict_match(table.select(model.match_columns))
     return _match_set(prepared, united, table, votes, probability)
@@ -130,6 +129,7 @@ def _match_set(
         two_keypoint_probability=table.column("best_two_keypoint"),
         roll_deg=float(np.rad2deg(frames.roll_rad)),
         rough_matrices=_to_given(prepared, votes.matrices),
+        image_sizes=(f1.image_size, f2.image_size),
     )
     return ranked.take(order)
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from epiprior.coherence import COLUMNS as COHERENCE_COLUMNS
+from epiprior.frames import MatchFrames
 from epiprior.putative import PutativeMatches
 from epiprior.standard import Neighbours, mutual_mask, similarity_weights
 from epiprior.two_keypoints import TwoKeypointMatches
@@ -26,6 +28,10 @@ DEFAULT_MATCH_COLUMNS = (
     "rivals",
     "roll_error",
     "scale_change",
+    *COHERENCE_COLUMNS,
+    "pair_best_two_keypoints",
+    "pair_two_keypoints",
+    "pair_support",
 )
 
 
@@ -109,6 +115,10 @@ class Union:
     def __len__(self) -> int:
         return len(self.location1)
 
+    def ratios(self, table: StandardTable) -> FloatArray:
+        """Return d_r of each match; 1 where it is missing."""
+        return lookup(table.distance_ratio, self.in_standard, 1.0)
+
 
 def unite(X: PutativeMatches, table: StandardTable) -> Union:
     """Return the union of X with the standard matches."""
@@ -122,7 +132,7 @@ def unite(X: PutativeMatches, table: StandardTable) -> Union:
     return Union(keys // width, keys % width, in_x, in_standard)
 
 
-def _lookup(values: FloatArray, rows: IntArray, missing: float) -> FloatArray:
+def lookup(values: FloatArray, rows: IntArray, missing: float) -> FloatArray:
     """Return ``values[rows]``, and `missing` where the row is -1."""
     out = np.full(len(rows), missing)
     out[rows >= 0] = values[rows[rows >= 0]]
@@ -153,6 +163,29 @@ def two_keypoint_scores(
     return best, total
 
 
+def pair_columns(strengths: FloatArray, weighted: FloatArray) -> tuple[float, float, float]:
+    """Return what is known of the pair as a whole: on a hard pair the same votes mean less.
+
+    Parameters
+    ----------
+    strengths : ndarray, shape (K,), float64
+        Probabilities of what the rough fundamental matrices were made of, descending.
+    weighted : ndarray, shape (len(X),), float64
+        Weighted votes of each row of X.
+
+    Returns
+    -------
+    tuple of float
+        Mean of the ten highest strengths, mean of all, and the highest share of the weighted votes that one match
+        has; 0 where there is none. All in [0, 1].
+    """
+    if not len(strengths):
+        return 0.0, 0.0, 0.0
+    total = (float(strengths.sum()) ** 2 - float((strengths**2).sum())) / 2
+    share = float(weighted.max(initial=0.0)) / total if total > 0 else 0.0
+    return float(strengths[:10].mean()), float(strengths.mean()), min(share, 1.0)
+
+
 @dataclass(frozen=True)
 class MatchTable:
     """The descriptor kpmd of every match of the union.
@@ -179,11 +212,13 @@ class MatchTable:
 
 def match_table(
     union: Union,
+    frames: MatchFrames,
     table: StandardTable,
     sfm: IntArray,
     weighted: FloatArray,
     two_keypoint: tuple[FloatArray, FloatArray],
-    appearance: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    around: FloatArray,
+    pair: tuple[float, float, float],
 ) -> MatchTable:
     """Compute kpmd (section 4.6): the paper's three columns, and ours.
 
@@ -191,35 +226,40 @@ def match_table(
     ----------
     union : Union
         M matches.
+    frames : MatchFrames
+        Of each match.
     table : StandardTable
         Holds d_r and t_k; a match that misses them gets 1 and 0.
     sfm, weighted : ndarray, shape (len(X),)
         Votes of each row of X and votes weighted by the 2keypoint matches' probabilities; matches outside X get 0.
     two_keypoint : tuple of ndarray, shape (len(X),)
         From `two_keypoint_scores`.
-    appearance : tuple of ndarray, shape (M,)
-        Similarity, similarity at the fixed orientations, deviation of the turn from the roll hypothesis (radians) and
-        size of the log of the scale change, of each match of the union.
+    around : ndarray, shape (M, 4), float64
+        From `epiprior.coherence.coherence`.
+    pair : tuple of float
+        From `pair_columns`; the same for every match.
     """
-    votes = _lookup(sfm.astype(np.float64), union.in_x, 0.0)
-    share = _lookup(weighted, union.in_x, 0.0)
+    votes = lookup(sfm.astype(np.float64), union.in_x, 0.0)
+    share = lookup(weighted, union.in_x, 0.0)
     rivals = np.bincount(union.location1)[union.location1] + np.bincount(union.location2)[union.location2] - 2
     rival = np.maximum(_best_rival(share, union.location1), _best_rival(share, union.location2))
     columns = [
         votes,
-        _lookup(table.distance_ratio, union.in_standard, 1.0),
-        _lookup(table.similarity_weight, union.in_standard, 0.0),
-        _lookup(table.mutual.astype(np.float64), union.in_standard, 0.0),
-        _lookup(table.distance_ratio_backward, union.in_standard, 1.0),
-        appearance[0],
-        appearance[1],
-        _lookup(two_keypoint[0], union.in_x, 0.0),
-        _lookup(two_keypoint[1], union.in_x, 0.0),
+        union.ratios(table),
+        lookup(table.similarity_weight, union.in_standard, 0.0),
+        lookup(table.mutual.astype(np.float64), union.in_standard, 0.0),
+        lookup(table.distance_ratio_backward, union.in_standard, 1.0),
+        frames.similarity,
+        frames.fixed_similarity,
+        lookup(two_keypoint[0], union.in_x, 0.0),
+        lookup(two_keypoint[1], union.in_x, 0.0),
         votes / max(float(votes.max(initial=0)), 1.0),
         share / max(float(share.max(initial=0)), 1e-12),
         share / np.maximum(share + rival, 1e-12),
         rivals.astype(np.float64),
-        appearance[2],
-        appearance[3],
+        frames.roll_error,
+        np.abs(frames.scale_change),
+        *around.T,
+        *(np.full(len(union), value) for value in pair),
     ]
     return MatchTable(DEFAULT_MATCH_COLUMNS, np.column_stack(columns).astype(np.float32))

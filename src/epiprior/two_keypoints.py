@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from epiprior.coherence import COLUMNS as COHERENCE_COLUMNS
 from epiprior.frames import MatchFrames
 from epiprior.putative import PutativeMatches
 from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
@@ -36,6 +37,7 @@ DEFAULT_COLUMNS = (
     "roll_error_main",
     "roll_error_neighbour",
     "scale_change_main",
+    *(f"{name}_{match}" for match in ("main", "neighbour") for name in COHERENCE_COLUMNS),
 )
 
 
@@ -258,8 +260,7 @@ def describe_two_keypoint_matches(
     main: IntArray,
     other: IntArray,
     same_cluster: BoolArray,
-    *,
-    extended: bool,
+    around: FloatArray | None = None,
 ) -> TwoKeypointMatches:
     """Compute the descriptor 2kpmd of each match of 2keypoints.
 
@@ -273,9 +274,10 @@ def describe_two_keypoint_matches(
         From `match_two_keypoints`.
     same_cluster : ndarray, shape (T,), bool
         Whether p and n belong to one cluster (in both images).
-    extended : bool
-        Add the columns that the paper does not have: how far the changes of scale and orientation of both matches
-        disagree, the similarities, the numbers of candidates, how far the turns are from the roll hypothesis.
+    around : ndarray, shape (len(X), 4), float64, optional
+        From `epiprior.coherence.coherence`. If given, the columns are added that the paper does not have: how far the
+        changes of scale and orientation of both matches disagree, the similarities, the numbers of candidates, how far
+        the turns are from the roll hypothesis, and this coherence of both matches.
     """
     f = frames
     vector1, vector2 = f.x1[other] - f.x1[main], f.x2[other] - f.x2[main]
@@ -291,19 +293,19 @@ def describe_two_keypoint_matches(
         same_cluster.astype(np.float64),
         np.minimum(d1, d2),
     ]
-    if extended:
-        scale_change = np.log(f.scale2 / f.scale1)
+    if around is not None:
+        scale_change = f.scale_change
         turn = f.orientation2_rad - f.orientation1_rad
-        roll_error = _wrapped(turn - f.roll_rad)
         candidates = (X.candidates1[X.feature1] * X.candidates2[X.feature2]).astype(np.float64)
         columns += [
             np.abs(scale_change[main] - scale_change[other]),
             _wrapped(turn[main] - turn[other]),
             *(column[rows] for column in (f.similarity, f.fixed_similarity) for rows in (main, other)),
-            *(column[rows] for column in (candidates, roll_error) for rows in (main, other)),
+            *(column[rows] for column in (candidates, f.roll_error) for rows in (main, other)),
             np.abs(scale_change[main]),
+            *(column[rows] for rows in (main, other) for column in around.T),
         ]
-    names = DEFAULT_COLUMNS if extended else PAPER_COLUMNS
+    names = PAPER_COLUMNS if around is None else DEFAULT_COLUMNS
     return TwoKeypointMatches(main, other, names, np.column_stack(columns).astype(np.float32))
 
 

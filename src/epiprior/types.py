@@ -22,6 +22,7 @@ FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+ImageSizes = tuple[tuple[float, float], tuple[float, float]]
 
 EMPTY_MAPPING: Mapping[str, Any] = MappingProxyType({})
 
@@ -131,6 +132,8 @@ class MatchSet:
         The roll hypothesis alpha under which X was made (section 4.2), degrees.
     rough_matrices : ndarray, shape (M, 3, 3), float64
         The rough fundamental matrices that voted (section 4.5); empty for standard matches.
+    image_sizes : tuple, optional
+        Width and height of both images, pixels; None if unknown.
     """
 
     x1: FloatArray
@@ -149,6 +152,7 @@ class MatchSet:
     two_keypoint_probability: FloatArray
     roll_deg: float = 0.0
     rough_matrices: FloatArray = field(default_factory=lambda: np.empty((0, 3, 3)), repr=False)
+    image_sizes: ImageSizes | None = None
 
     def __len__(self) -> int:
         return len(self.x1)
@@ -165,7 +169,7 @@ class MatchSet:
         return self.take(one_to_one_mask(self.feature1, self.feature2))
 
 
-_NOT_COLUMNS = frozenset({"roll_deg", "rough_matrices"})
+_NOT_COLUMNS = frozenset({"roll_deg", "rough_matrices", "image_sizes"})
 
 
 @dataclass(frozen=True, kw_only=True)

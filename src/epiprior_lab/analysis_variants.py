@@ -13,12 +13,12 @@ import numpy as np
 
 from epiprior.features import View
 from epiprior.frames import MatchFrames
-from epiprior.hypothesis import Candidates, Votes, cast_votes, find_candidates
+from epiprior.hypothesis import Candidates, UnitedMatches, Votes, cast_votes, find_candidates
 from epiprior.models import RankingModel
 from epiprior.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.preprocess import rank_voted
 from epiprior.presets import DEFAULT, PreprocessSettings
-from epiprior.probabilities import StandardTable, two_keypoint_scores
+from epiprior.probabilities import Union, two_keypoint_scores
 from epiprior.two_keypoints import TwoKeypointMatches
 from epiprior.types import Features, FloatArray, IntArray, MatchSet
 from epiprior.votes import count_votes, frame_points, rough_fundamental_matrices
@@ -100,11 +100,10 @@ def ranked_sets(
         Whether X is united with X_L and X_B. False: X alone, whose matches then miss d_r and t_k as the paper says.
         The model is the same and was trained on the united matches.
     """
-    prepared = proposals.prepared if standard else replace(proposals.prepared, table=_no_standard_matches())
     return tuple(
         rank_voted(
-            prepared,
-            found,
+            proposals.prepared,
+            found if standard else _x_alone(found),
             voter(found.frames, found.two_keypoints, probability, settings or proposals.settings),
             proposals.model,
         )
@@ -112,9 +111,12 @@ def ranked_sets(
     )
 
 
-def _no_standard_matches() -> StandardTable:
-    none, no_rows = np.empty(0), np.empty(0, np.int64)
-    return StandardTable(no_rows, no_rows, none, none, none, np.empty(0, np.bool_))
+def _x_alone(found: Candidates) -> Candidates:
+    """Return the candidates without X_L and X_B."""
+    union = found.united.union
+    rows = union.in_x >= 0
+    alone = Union(union.location1[rows], union.location2[rows], union.in_x[rows], np.full(len(found.X), -1))
+    return replace(found, united=UnitedMatches(union=alone, frames=found.frames))
 
 
 def oriented_votes(
@@ -144,9 +146,10 @@ def oriented_votes(
     y1, y2 = frame_points(frames, rows, rows, frame="feature", radius=settings.frame_radius)
     F = rough_fundamental_matrices(y1[:, :4], y2[:, :4])
     i, j = np.triu_indices(len(rows), 1)
-    sfm, weighted = count_votes(F, frames.x1, frames.x2, settings.vote_threshold, best[rows][i] * best[rows][j])
+    strengths = best[rows]
+    sfm, weighted = count_votes(F, frames.x1, frames.x2, settings.vote_threshold, strengths[i] * strengths[j])
     none = np.empty(0, np.int64)
-    return Votes(matrices=F, chosen=none, sfm=sfm, weighted=weighted, probability=probability)
+    return Votes(matrices=F, chosen=none, strengths=strengths, sfm=sfm, weighted=weighted, probability=probability)
 
 
 def reordered(matches: MatchSet, ranking: str) -> MatchSet:

@@ -40,10 +40,6 @@ class PairRows:
         Whose features they are.
     roll_deg : float
         The hypothesis.
-    frames : MatchFrames
-        Of the rows of X.
-    labels : ndarray, shape (len(X),), bool
-        Which rows of X are right.
     two_keypoints : TwoKeypointMatches
         Matches of 2keypoints with their descriptors 2kpmd.
     table : StandardTable
@@ -58,12 +54,20 @@ class PairRows:
     scene: str
     preset: str
     roll_deg: float
-    frames: MatchFrames
-    labels: BoolArray
     two_keypoints: TwoKeypointMatches
     table: StandardTable
     united: hypothesis.UnitedMatches
     united_labels: BoolArray
+
+    @property
+    def frames(self) -> MatchFrames:
+        """Of the rows of X."""
+        return self.united.frames_of_x()
+
+    @property
+    def labels(self) -> BoolArray:
+        """Which rows of X are right, shape (len(X),)."""
+        return self.united_labels[self.united.union.in_x >= 0]
 
     @property
     def two_keypoint_columns(self) -> tuple[str, ...]:
@@ -78,7 +82,8 @@ class PairRows:
     @property
     def two_keypoint_labels(self) -> BoolArray:
         """Which 2keypoint matches consist of right matches only, shape (T,)."""
-        return self.labels[self.two_keypoints.main] & self.labels[self.two_keypoints.other]
+        labels = self.labels
+        return labels[self.two_keypoints.main] & labels[self.two_keypoints.other]
 
 
 def extract_rows(pair: Pair, presets: Sequence[str], labels: LabelSettings | None = None) -> dict[str, list[PairRows]]:
@@ -108,23 +113,19 @@ def _preset_rows(pair: Pair, found: DetectedPair, preset: str, settings: LabelSe
     prepared = prepare_pair(*found.photographs, own, features1=features1, features2=features2)
     rolls = roll_hypotheses(prepared, own)
     candidates = [hypothesis.find_candidates(prepared, roll_deg, own) for roll_deg in rolls]
-    united = [hypothesis.unite_matches(prepared, each) for each in candidates]
-    frames = [*(each.frames for each in candidates), *(each.frames for each in united)]
-    labels = _labels(pair, prepared, frames, settings)
+    labels = _labels(pair, prepared, [each.united.frames for each in candidates], settings)
     return [
         PairRows(
             pair_id=pair.pair_id,
             scene=pair.scene,
             preset=preset,
-            roll_deg=roll_deg,
-            frames=candidates[k].frames,
-            labels=labels[k],
-            two_keypoints=candidates[k].two_keypoints,
+            roll_deg=each.roll_deg,
+            two_keypoints=each.two_keypoints,
             table=prepared.table,
-            united=united[k],
-            united_labels=labels[len(rolls) + k],
+            united=each.united,
+            united_labels=right,
         )
-        for k, roll_deg in enumerate(rolls)
+        for each, right in zip(candidates, labels, strict=True)
     ]
 
 
@@ -194,11 +195,7 @@ def rows_to_bytes(rows: PairRows) -> bytes:
         "scene": rows.scene,
         "preset": rows.preset,
         "roll_deg": rows.roll_deg,
-        "labels": rows.labels,
         "united_labels": rows.united_labels,
-        "united.roll_error": rows.united.roll_error,
-        "united.scale_change": rows.united.scale_change,
-        **_flatten("frames", rows.frames),
         **_flatten("two_keypoints", rows.two_keypoints),
         **_flatten("table", rows.table),
         **_flatten("union", rows.united.union),
@@ -222,18 +219,13 @@ def read_rows(path: Path) -> PairRows:
             descriptors=stored["two_keypoints.descriptors"],
         )
         united = hypothesis.UnitedMatches(
-            union=_rebuild(Union, "union", stored),
-            frames=_rebuild(MatchFrames, "united_frames", stored),
-            roll_error=stored["united.roll_error"],
-            scale_change=stored["united.scale_change"],
+            union=_rebuild(Union, "union", stored), frames=_rebuild(MatchFrames, "united_frames", stored)
         )
         return PairRows(
             pair_id=str(stored["pair_id"]),
             scene=str(stored["scene"]),
             preset=str(stored["preset"]),
             roll_deg=float(stored["roll_deg"]),
-            frames=_rebuild(MatchFrames, "frames", stored),
-            labels=stored["labels"],
             two_keypoints=pairs,
             table=_rebuild(StandardTable, "table", stored),
             united=united,

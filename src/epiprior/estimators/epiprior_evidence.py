@@ -1,10 +1,9 @@
 """What the matches say for a fundamental matrix: the score of the estimator ``epiprior``.
 
-Why not the sum of the probabilities alone: on repeated structure, an F whose epipolar lines run along the rows of a
-facade agrees with every match of a window to any window of its row, right or wrong, and collects more support than the
-true F. But it also agrees with the rivals: with the other candidates of the same features, of which at most one can be
-right. A match tells for F what its rivals do not. They are the pair's own null model, and it is there without any
-further computation, because the preprocessing keeps many-to-many matches.
+Why not the sum of the probabilities alone: matches are not independent witnesses. A window that was taken for its
+neighbour brings ten matches that agree with one another, and with every F that agrees with one of them. So matches that
+lead from one small part of image 1 to one small part of image 2 speak once, by the best of them. And F itself must be
+one that two photographs can have (`epiprior.plausibility`): this evidence comes from no match at all.
 """
 
 from __future__ import annotations
@@ -14,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.estimators.epiprior_kernels import score_models
+from epiprior.plausibility import camera_plausibility
 from epiprior.refine import SCORE_THRESHOLD_PX
-from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray, MatchSet
+from epiprior.types import Float32Array, FloatArray, IntArray, MatchSet
 
 CHANCE = 0.02
-LENIENCE = 0.3
 WITHOUT_RATIO = 0.5
-RIVAL_FACTOR = 1.5
+CELL_PX = 48.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,13 +29,11 @@ class Evidence:
     Parameters
     ----------
     x1, x2 : ndarray, shape (N, 2), float32
-        Matches, pixels from `centre1` and `centre2`, sorted by feature.
+        Matches, pixels from `centre1` and `centre2`, sorted by group.
     weights : ndarray, shape (N,), float32
         What a match is worth at distance zero.
-    feature : ndarray, shape (N,), int64
-        Of the matches of one feature only the best counts.
-    rivals : ndarray, shape (N,), float32
-        How many other matches the feature of each has.
+    group : ndarray, shape (N,), int64
+        Of the matches of one group only the best counts; ascending.
     centre1, centre2 : ndarray, shape (2,), float64
         Means of the points: single precision is then exact enough.
     """
@@ -44,63 +41,66 @@ class Evidence:
     x1: Float32Array
     x2: Float32Array
     weights: Float32Array
-    feature: IntArray
-    rivals: Float32Array
+    group: IntArray
     centre1: FloatArray
     centre2: FloatArray
 
     @classmethod
-    def of(cls, x1: FloatArray, x2: FloatArray, weights: FloatArray, feature: IntArray) -> Evidence:
-        """Arrange N matches with their weights and the features that they compete for."""
-        order = np.argsort(feature, kind="stable")
-        _, place, counts = np.unique(feature[order], return_inverse=True, return_counts=True)
+    def of(cls, x1: FloatArray, x2: FloatArray, weights: FloatArray, group: IntArray) -> Evidence:
+        """Arrange N matches with their weights and the groups that speak once."""
+        order = np.argsort(group, kind="stable")
         centre1, centre2 = (x.mean(axis=0) if len(x) else np.zeros(2) for x in (x1, x2))
         return cls(
             x1=(x1 - centre1)[order].astype(np.float32),
             x2=(x2 - centre2)[order].astype(np.float32),
             weights=weights[order].astype(np.float32),
-            feature=np.asarray(place, dtype=np.int64),
-            rivals=(counts[place] - 1).astype(np.float32),
+            group=np.asarray(group[order], dtype=np.int64),
             centre1=centre1,
             centre2=centre2,
         )
 
-    def scores(self, models: FloatArray, threshold_px: float, rival_px: float | None = None) -> FloatArray:
-        """Return the score of each of `models` (K, 3, 3), in [0, sum of the weights]: shape (K,), float64.
+    def scores(self, models: FloatArray, threshold_px: float) -> FloatArray:
+        """Return the score of each of `models` (K, 3, 3): shape (K,), float64, >= 0.
 
-        A feature whose best match has weight w and Sampson distance r says w (1 - r^2 / threshold^2), nothing beyond
-        the threshold, times ``(1 - a / (n + 0.3))^3`` where a of the n rivals lie within `rival_px` (the threshold, by
-        default).
+        A group says what its best match says: w (1 - r^2 / threshold^2) at the Sampson distance r, nothing beyond.
         """
         found = np.zeros(len(models), np.float32)
         if len(models) and len(self.x1):
             columns = _centred_columns(models, self.centre1, self.centre2)
-            threshold_sq, rival_sq = np.float32(threshold_px**2), np.float32((rival_px or threshold_px) ** 2)
-            matches = (self.x1, self.x2, self.weights, self.feature, self.rivals)
-            score_models(columns, *matches, threshold_sq, rival_sq, np.float32(LENIENCE), found)
+            score_models(columns, self.x1, self.x2, self.weights, self.group, np.float32(threshold_px**2), found)
         return np.nan_to_num(found.astype(np.float64), nan=0.0)
 
 
-def telling_score(F: FloatArray, matches: MatchSet, threshold_px: float = SCORE_THRESHOLD_PX) -> float:
-    """Return how much the matches say for one F, over the features of both images.
+def spread_evidence(F: FloatArray, matches: MatchSet, threshold_px: float = SCORE_THRESHOLD_PX) -> float:
+    """Return how much speaks for one F: the matches, each part of the images once, times the plausibility of F.
 
     Parameters
     ----------
     F : ndarray, shape (3, 3)
         Fundamental matrix.
     matches : MatchSet
-        Many-to-many as they are; without rivals this is a weighted sum with a truncated loss.
+        Many-to-many as they are; each feature speaks once, by its most probable match.
     threshold_px : float
-        Sampson distance at which a match says nothing; rivals agree within 1.5 times as much.
+        Sampson distance at which a match says nothing.
 
     Returns
     -------
     float
         >= 0. It may be compared between roll hypotheses of one pair.
     """
-    weights = match_weights(matches, prior_probability(matches))
-    sides = (Evidence.of(matches.x1, matches.x2, weights, f) for f in (matches.feature1, matches.feature2))
-    return float(sum(side.scores(F[None], threshold_px, RIVAL_FACTOR * threshold_px)[0] for side in sides))
+    single = matches.one_to_one()
+    weights = match_weights(single, prior_probability(single))
+    evidence = Evidence.of(single.x1, single.x2, weights, spread_groups(single.x1, single.x2))
+    return float(evidence.scores(F[None], threshold_px)[0] * camera_plausibility(F[None], single.image_sizes)[0])
+
+
+def spread_groups(x1: FloatArray, x2: FloatArray) -> IntArray:
+    """Return a number for each match, the same for those that lead from one cell to one cell: shape (N,), >= 0.
+
+    Cells have 48 pixels, the reach of a few features.
+    """
+    cells = np.floor(np.hstack([x1, x2]) / CELL_PX).astype(np.int64)
+    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
 def match_weights(matches: MatchSet, probability: FloatArray) -> FloatArray:
@@ -113,14 +113,6 @@ def match_weights(matches: MatchSet, probability: FloatArray) -> FloatArray:
     p = np.clip(probability, 0.0, 1.0 - 1e-6)
     worth = np.log1p(p / ((1.0 - p) * CHANCE))
     return np.where(matches.distance_ratio < 1.0, worth, WITHOUT_RATIO * worth)
-
-
-def voice(feature: IntArray, agrees: BoolArray) -> FloatArray:
-    """Return what the rivals of one image leave of each match's voice, in [0, 1]: see `Evidence.scores`."""
-    _, place = np.unique(feature, return_inverse=True)
-    count, agreeing = np.bincount(place), np.bincount(place, weights=agrees)
-    others = np.maximum(agreeing[place] - agrees, 0.0)
-    return np.asarray((1.0 - others / (count[place] - 1 + LENIENCE)).clip(0.0) ** 3)
 
 
 def prior_probability(matches: MatchSet) -> FloatArray:

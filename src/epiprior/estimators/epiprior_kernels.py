@@ -8,28 +8,27 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from epiprior.estimators.samplers import draw
+
 _CHUNK = 128
 _POWER_STEPS = 8
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"})
-def score_models(F, x1, x2, weights, feature, rivals, limit_sq, rival_sq, lenience, scores):  # type: ignore[no-untyped-def]
+def score_models(F, x1, x2, weights, group, limit_sq, scores):  # type: ignore[no-untyped-def]
     """Add up, per model, what the matches say for it; `scores` (K,) is written.
 
-    `F` is (9, K); matches are sorted by `feature`, and `rivals` tells each how many others its feature has. Of the
-    matches of one feature the best counts, w (1 - r^2 / limit_sq), times the cube of the share of its rivals that do
-    not agree (r^2 < rival_sq): 1 - agreeing / (rivals + lenience).
+    `F` is (9, K); matches are sorted by `group`, and of each group the best counts: w (1 - r^2 / limit_sq).
     """
     n = len(x1)
     one, none = np.float32(1), np.float32(0)
     best = np.empty(_CHUNK, np.float32)
-    agree = np.empty(_CHUNK, np.float32)
     for start in range(0, F.shape[1], _CHUNK):
         count = min(_CHUNK, F.shape[1] - start)
         G = F[:, start : start + count]
         total = scores[start : start + count]
         for k in range(count):
-            best[k] = agree[k] = total[k] = none
+            best[k] = total[k] = none
         for m in range(n):
             x, y, u, v, w = x1[m, 0], x1[m, 1], x2[m, 0], x2[m, 1], weights[m]
             for k in range(count):
@@ -42,13 +41,10 @@ def score_models(F, x1, x2, weights, feature, rivals, limit_sq, rival_sq, lenien
                 square = e * e / (l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1)
                 value = w * (one - square / limit_sq)
                 best[k] = value if value > best[k] else best[k]
-                agree[k] += one if square < rival_sq else none
-            if m == n - 1 or feature[m + 1] != feature[m]:
+            if m == n - 1 or group[m + 1] != group[m]:
                 for k in range(count):
-                    others = agree[k] - one if agree[k] > one else none
-                    telling = one - others / (rivals[m] + lenience)
-                    total[k] += best[k] * telling * telling * telling
-                    best[k] = agree[k] = none
+                    total[k] += best[k]
+                    best[k] = none
 
 
 @numba.njit(cache=True, nogil=True)
@@ -217,3 +213,81 @@ def refine_models(models, x1, x2, weights, thresholds):  # type: ignore[no-untyp
             _fit_weights(models[k], x1, x2, weights, threshold * threshold, w)
             if not fit_weighted(x1, x2, w, models[k]):
                 break
+
+
+@numba.njit(cache=True, nogil=True)
+def _squared_distances(F, x1, x2, out, gradient):  # type: ignore[no-untyped-def]
+    for m in range(len(x1)):
+        x, y, u, v = x1[m, 0], x1[m, 1], x2[m, 0], x2[m, 1]
+        l0 = F[0, 0] * x + F[0, 1] * y + F[0, 2]
+        l1 = F[1, 0] * x + F[1, 1] * y + F[1, 2]
+        r0 = F[0, 0] * u + F[1, 0] * v + F[2, 0]
+        r1 = F[0, 1] * u + F[1, 1] * v + F[2, 1]
+        e = u * l0 + v * l1 + F[2, 0] * x + F[2, 1] * y + F[2, 2]
+        gradient[m] = l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1
+        out[m] = e * e / gradient[m] if gradient[m] > 0.0 else np.inf
+
+
+@numba.njit(cache=True, nogil=True)
+def _score(squares, weights, group, limit_sq):  # type: ignore[no-untyped-def]
+    """Return what `score_models` returns for one model, from its squared distances."""
+    total = best = 0.0
+    for m in range(len(squares)):
+        best = max(best, weights[m] * (1.0 - squares[m] / limit_sq))
+        if m == len(squares) - 1 or group[m + 1] != group[m]:
+            total += best
+            best = 0.0
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def climb(model, x1, x2, prior, weights, group, limit, thresholds, reach, samples, state):  # type: ignore[no-untyped-def]
+    """Improve `model` (3, 3) in place by local optimisation; return its score, that of `score_models` at `limit`.
+
+    Inner samples of up to 14 of the matches within `reach` of the best so far, drawn by `prior`, are fitted and refined
+    over `thresholds`; what scores higher becomes the best. The first attempt refines the model itself.
+    """
+    n = len(x1)
+    squares, gradient, fit_weights, cumulative = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    trial = np.empty((1, 3, 3))
+    _squared_distances(model, x1, x2, squares, gradient)
+    best = _score(squares, weights, group, limit * limit)
+    trial[0] = model
+    for sample in range(samples + 1):
+        if sample > 0:
+            _squared_distances(model, x1, x2, squares, gradient)
+            if not _inner_sample(squares, reach * reach, prior, gradient, fit_weights, cumulative, state):
+                break
+            if not fit_weighted(x1, x2, fit_weights, trial[0]):
+                continue
+        refine_models(trial, x1, x2, prior, thresholds)
+        _squared_distances(trial[0], x1, x2, squares, gradient)
+        score = _score(squares, weights, group, limit * limit)
+        if score > best:
+            best = score
+            model[:] = trial[0]
+    return best
+
+
+@numba.njit(cache=True, nogil=True)
+def _inner_sample(squares, reach_sq, prior, gradient, fit_weights, cumulative, state):  # type: ignore[no-untyped-def]
+    """Give an inner sample its weights in the next fit; False where too few matches are near."""
+    total, near = 0.0, 0
+    for m in range(len(squares)):
+        if squares[m] < reach_sq and prior[m] > 0.0:
+            total += prior[m]
+            near += 1
+        cumulative[m] = total
+    if near < 16:
+        return False
+    wanted = min(14, near // 2)
+    fit_weights[:] = 0.0
+    taken = 0
+    for _ in range(10 * wanted):
+        m = draw(cumulative, state)
+        if fit_weights[m] == 0.0:
+            fit_weights[m] = 1.0 / gradient[m]
+            taken += 1
+            if taken == wanted:
+                break
+    return taken >= 8

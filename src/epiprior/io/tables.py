@@ -197,7 +197,7 @@ def _set_of(path: Path, columns: Columns, rows: NDArray[np.bool_]) -> MatchSet:
     rolls = np.unique(part["roll_deg"])
     if len(rolls) != 1:
         raise FeatureError(f"{path}: set {part['set'][0]} has {len(rolls)} different values of roll_deg")
-    plain: Columns = {name: part[name].astype(np.int64 if name in _INTEGERS else np.float64) for name in _PLAIN}
+    plain: dict[str, Any] = {name: part[name].astype(np.int64 if name in _INTEGERS else np.float64) for name in _PLAIN}
     return MatchSet(
         x1=np.column_stack([part["x1"], part["y1"]]).astype(np.float64),
         x2=np.column_stack([part["x2"], part["y2"]]).astype(np.float64),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import pickle
 import zipfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -84,8 +85,9 @@ def store_peer_matches(
     kept = []
     for pair, matches in zip(pairs, matched, strict=True):
         paths = dict(matches.paths)
+        sizes = next(iter(matches.read().sets.values()))[0].image_sizes
         for ranker in rankers:
-            found = read_peer_matches(peers / ranker / f"{pair.pair_id}.npz")
+            found = replace(read_peer_matches(peers / ranker / f"{pair.pair_id}.npz"), image_sizes=sizes)
             paths[ranker] = folder / f"{pair.pair_id}.{ranker}.matches"
             paths[ranker].write_bytes(pickle.dumps((found,), protocol=5))
         kept.append(MatchFiles(paths=paths, pixel_factors=matches.pixel_factors))
