@@ -11,7 +11,8 @@ import numpy as np
 from epiprior.frames import MatchFrames
 from epiprior.types import FloatArray, IntArray
 
-_CHUNK = 256
+_CHUNK = 512
+_PAIRS = 1_250
 
 
 def frame_points(
@@ -85,15 +86,25 @@ def rough_fundamental_matrices(y1: FloatArray, y2: FloatArray) -> FloatArray:
     Hartley and Zisserman, algorithm 11.1.
     """
     i, j = np.triu_indices(len(y1), 1)
-    if not len(i):
-        return np.empty((0, 3, 3))
+    F = np.empty((len(i), 3, 3))
+
+    def work(first: int) -> None:
+        part = slice(first, first + _PAIRS)
+        F[part] = _fit_pairs(y1, y2, i[part], j[part])
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        list(pool.map(work, range(0, len(i), _PAIRS)))
+    return F
+
+
+def _fit_pairs(y1: FloatArray, y2: FloatArray, i: IntArray, j: IntArray) -> FloatArray:
     p1, T1 = _condition_pairs(y1, i, j)
     p2, T2 = _condition_pairs(y2, i, j)
     _, vectors = np.linalg.eigh(_moments(p1, p2))
     U, s, Vt = np.linalg.svd(vectors[:, :, 0].reshape(-1, 3, 3))
     s[:, 2] = 0
     F = np.swapaxes(T2, 1, 2) @ (U * s[:, None, :]) @ Vt @ T1
-    return np.ascontiguousarray(F / np.linalg.norm(F, axis=(1, 2), keepdims=True))
+    return np.asarray(F / np.linalg.norm(F, axis=(1, 2), keepdims=True))
 
 
 def _condition_pairs(y: FloatArray, i: IntArray, j: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -132,23 +143,38 @@ def _moments(p1, p2):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"})
 def _count_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no-untyped-def]
-    """Add, per match, the matrices within the limit and their weights; a row of matches at a time stays in cache."""
-    for m in range(len(x1)):
-        x, y, u, v = x1[m, 0], x1[m, 1], x2[m, 0], x2[m, 1]
-        count = 0
-        total = np.float32(0)
-        for k in range(F.shape[1]):
-            l0 = F[0, k] * x + F[1, k] * y + F[2, k]
-            l1 = F[3, k] * x + F[4, k] * y + F[5, k]
-            l2 = F[6, k] * x + F[7, k] * y + F[8, k]
-            r0 = F[0, k] * u + F[3, k] * v + F[6, k]
-            r1 = F[1, k] * u + F[4, k] * v + F[7, k]
-            e = u * l0 + v * l1 + l2
+    """Add, per match, the matrices within the limit and their weights, in the order of the matrices.
+
+    All matches of the part meet one matrix at a time: the inner loop is over independent sums, which a processor takes
+    many at once without changing any.
+    """
+    x, y, u, v = x1[:, 0].copy(), x1[:, 1].copy(), x2[:, 0].copy(), x2[:, 1].copy()
+    count = np.zeros(len(x), np.int32)
+    none = np.float32(0)
+    for k in range(F.shape[1]):
+        f0, f1, f2, f3, f4, f5, f6, f7, f8 = (
+            F[0, k],
+            F[1, k],
+            F[2, k],
+            F[3, k],
+            F[4, k],
+            F[5, k],
+            F[6, k],
+            F[7, k],
+            F[8, k],
+        )
+        w = weights[k]
+        for m in range(len(x)):
+            l0 = f0 * x[m] + f1 * y[m] + f2
+            l1 = f3 * x[m] + f4 * y[m] + f5
+            l2 = f6 * x[m] + f7 * y[m] + f8
+            r0 = f0 * u[m] + f3 * v[m] + f6
+            r1 = f1 * u[m] + f4 * v[m] + f7
+            e = u[m] * l0 + v[m] * l1 + l2
             hit = e * e < limit_sq * (l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1)
-            count += hit
-            total += weights[k] if hit else np.float32(0)
-        votes[m] = count
-        weighted[m] = total
+            count[m] += np.int32(hit)
+            weighted[m] += w if hit else none
+    votes[:] = count
 
 
 def count_votes(
