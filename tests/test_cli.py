@@ -28,6 +28,7 @@ KEYS = [
     "F",
     "support",
     "matches",
+    "plausibility",
     "iterations",
     "estimator",
     "version",
@@ -68,6 +69,7 @@ def estimate_of(status=Status.OK, message="", **changes):
         input="default",
         message=message,
         seconds={"estimator": 0.25},
+        plausibility=0.875,
     )
     return replace(found, **changes)
 
@@ -114,6 +116,7 @@ def test_estimate_as_json(library):
     assert printed["status"] == "ok"
     assert printed["support"] == PAIR.right.sum()
     assert printed["matches"] == len(PAIR.matches)
+    assert printed["plausibility"] == 0.875
     assert printed["preset"] == "default"
     assert printed["seed"] == 5
     assert printed["seconds"] == {"estimator": 0.25}
@@ -149,8 +152,15 @@ def test_estimate_as_text(library):
     result = run("estimate", "a", "b", "--text")
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
-    assert lines[0] == f"usac: ok, support {PAIR.right.sum()} of {len(PAIR.matches)} matches"
+    about = f"usac: ok, support {PAIR.right.sum()} of {len(PAIR.matches)} matches"
+    assert lines[0] == f"{about}, plausibility 0.88"
     np.testing.assert_allclose([[float(v) for v in line.split()] for line in lines[1:4]], PAIR.F, rtol=1e-9)
+
+
+def test_an_unknown_plausibility_is_null_and_left_out_of_the_text(library):
+    library[1]["estimate"] = estimate_of(plausibility=float("nan"))
+    assert json.loads(run("estimate", "a", "b", "--json").stdout)["plausibility"] is None
+    assert "plausibility" not in run("estimate", "a", "b", "--text").stdout
 
 
 @pytest.mark.parametrize("status", [Status.TOO_FEW_MATCHES, Status.NO_MODEL, Status.DEGENERATE])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from epiprior.estimators import EstimatorSettings, run
 from epiprior.estimators import fit as run_fit
 from epiprior.geometry import sampson_distance
 from epiprior.handover import HandOver
+from epiprior.plausibility import camera_plausibility
 from epiprior.types import MatchSet, Status
 from synthetic import SyntheticPair, make_matches, make_pair
 
@@ -39,6 +41,47 @@ def test_one_set_as_handed_over_is_what_the_estimator_says():
     assert np.array_equal(estimate.inliers, plain.inliers)
     assert estimate.support == plain.support
     assert set(estimate.seconds) == {"estimator", "support"}
+
+
+SIZES = ((1024.0, 768.0), (1024.0, 768.0))
+
+
+def test_plausibility_is_of_the_raw_F_in_pixels_as_given():
+    pair = make_pair()
+    known = replace(pair.matches, image_sizes=SIZES)
+    estimate = estimate_from_matches([known], estimator="usac", hand_over=HandOver())
+    assert estimate.raw_F is not None
+    assert estimate.plausibility == camera_plausibility(estimate.raw_F[None], SIZES)[0] > 0.95
+    assert run("usac", known).plausibility == estimate.plausibility
+    # In images of three and two times the size F is another matrix, but of the same cameras.
+    (w1, h1), (w2, h2) = SIZES
+    large = replace(known, x1=3 * known.x1, x2=2 * known.x2, image_sizes=((3 * w1, 3 * h1), (2 * w2, 2 * h2)))
+    scaled = estimate_from_matches([large], estimator="usac", hand_over=HandOver(), pixel_factors=(3.0, 2.0))
+    assert scaled.raw_F is not None
+    assert scaled.plausibility == camera_plausibility(scaled.raw_F[None], large.image_sizes)[0]
+    assert scaled.plausibility == pytest.approx(estimate.plausibility, abs=0.01)
+
+
+def test_plausibility_is_there_whatever_the_verdict_says():
+    plane = replace(make_pair(scene="plane", seed=2).matches, image_sizes=SIZES)
+    estimates = (
+        run("usac", plane),
+        estimate_from_matches([plane], estimator="usac", hand_over=HandOver()),
+    )
+    for estimate in estimates:
+        assert estimate.F is None
+        assert 0 <= estimate.plausibility <= 1
+
+
+def test_plausibility_is_unknown_without_an_F_or_without_sizes():
+    pair = make_pair()
+    few = replace(pair.matches.take(slice(5)), image_sizes=SIZES)
+    for matches in (pair.matches, few):
+        for estimate in (
+            run("usac", matches),
+            estimate_from_matches([matches], estimator="usac", hand_over=HandOver()),
+        ):
+            assert math.isnan(estimate.plausibility)
 
 
 @pytest.mark.parametrize("how", [PAPER, FULL], ids=["paper", "default"])

@@ -16,6 +16,7 @@ from epiprior.estimators.registry import Fit
 from epiprior.estimators.verdict import judge
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior.handover import HandOver, hand_over
+from epiprior.plausibility import known_plausibility
 from epiprior.refine import refine_fundamental
 from epiprior.types import FloatArray, FundamentalEstimate, ImageSizes, MatchSet, Status
 
@@ -103,6 +104,7 @@ def estimate_from_matches(
         roll_deg=best.roll_deg,
         message=message,
         seconds={"estimator": running, "support": time.perf_counter() - start - running},
+        plausibility=known_plausibility(raw_F, given.image_sizes),
     )
 
 

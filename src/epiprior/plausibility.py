@@ -10,6 +10,8 @@ result 9.17). As a soft factor over a range of focal lengths: ours.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from epiprior.types import FloatArray, ImageSizes
@@ -52,6 +54,13 @@ def camera_plausibility(models: FloatArray, image_sizes: ImageSizes | None) -> F
         ratio_sq = np.divide(product, first * first, out=np.zeros_like(first), where=first > 0)
         best = np.maximum(best, np.sqrt(ratio_sq))
     return np.asarray(np.nan_to_num(best, nan=0.0).clip(0.0, 1.0))
+
+
+def known_plausibility(F: FloatArray | None, image_sizes: ImageSizes | None) -> float:
+    """Return the plausibility of one F, shape (3, 3); NaN without an F or where sizes are unknown."""
+    if F is None or image_sizes is None:
+        return math.nan
+    return float(camera_plausibility(F[None], image_sizes)[0])
 
 
 def _intrinsics(size: tuple[float, float], focal: float) -> FloatArray:

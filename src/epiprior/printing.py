@@ -61,6 +61,8 @@ def entries(value: Any, name: str = "") -> list[tuple[str, str]]:
 def summary(found: FundamentalEstimate) -> str:
     """Return an estimate in one line."""
     support = f"{found.estimator}: {found.status.value}, support {found.support} of {len(found.x1)} matches"
+    if math.isfinite(found.plausibility):
+        support += f", plausibility {found.plausibility:.2f}"
     return f"{support}; {found.message}" if found.message else support
 
 
@@ -75,12 +77,13 @@ def print_estimate(found: FundamentalEstimate) -> None:
 
 
 def estimate_as_json(found: FundamentalEstimate, preset: str, seed: int) -> dict[str, Any]:
-    """Return an estimate as JSON's types; its preset is null where no ranking was used."""
+    """Return an estimate as JSON's types; null are a preset that ranked nothing and an unknown plausibility."""
     return {
         "status": found.status.value,
         "F": None if found.F is None else found.F.tolist(),
         "support": int(found.support),
         "matches": len(found.x1),
+        "plausibility": float(found.plausibility),
         "iterations": None if found.iterations is None else int(found.iterations),
         "estimator": found.estimator,
         "version": found.version,

@@ -7,6 +7,7 @@ pixels; public angles are degrees, clockwise as seen on the screen (y points dow
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
@@ -235,6 +236,10 @@ class FundamentalEstimate:
         For a reader: why `status` is not ``ok``; empty otherwise.
     seconds : mapping of str to float
         Wall time per step.
+    plausibility : float
+        Of `raw_F`, in [0, 1]: whether two ordinary cameras can have it (`epiprior.plausibility`). No match takes part
+        in it, so that it tells more of an F with much support than the support does. NaN without an F, and where the
+        sizes of the images are unknown: not known is not plausible.
     """
 
     status: Status
@@ -251,6 +256,7 @@ class FundamentalEstimate:
     raw_F: FloatArray | None = None
     message: str = ""
     seconds: Mapping[str, float] = field(default_factory=lambda: EMPTY_MAPPING)
+    plausibility: float = math.nan
 
     def __bool__(self) -> bool:
         return self.status is Status.OK

@@ -13,6 +13,7 @@ from epiprior.estimators import beem, blogs, colmap, degensac, epiprior, general
 from epiprior.estimators.protocol import SEED_LIMIT, Estimator, EstimatorSettings
 from epiprior.estimators.verdict import judge
 from epiprior.geometry import MIN_MATCHES, as_points, normalise_fundamental, sampson_distance
+from epiprior.plausibility import known_plausibility
 from epiprior.selection import first_of_equal
 from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
 
@@ -181,6 +182,7 @@ def run(
         roll_deg=matches.roll_deg,
         message=message,
         seconds={"estimator": found.seconds},
+        plausibility=known_plausibility(found.F, matches.image_sizes),
     )
 
 
