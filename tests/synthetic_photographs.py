@@ -57,6 +57,7 @@ def _runs(rng, *, cameras, true_f):
                 turned_down = int(1e6 * error) % 9 == 0  # by a verdict that knows nothing of the truth
                 status = "no_model" if not found else "degenerate" if turned_down else "ok"
                 row |= {"status": status, "support": 120 if status == "ok" else 0}
+                row |= {"spread": 60 if status == "ok" else 0, "plausibility": 0.97 if found else np.nan}
                 row |= {"error_px": error if found else np.nan, "median_error_px": error / 2 if found else np.nan}
                 row |= {"distance": error / 100 if found and true_f else np.nan}
                 posed = found and cameras

@@ -61,6 +61,8 @@ def _results(rng, keys, seeds):
                             # The verdict knows nothing of the truth here.
                             "status": "no_model" if none else "degenerate" if int(1e6 * error) % 9 == 0 else "ok",
                             "support": 0 if none else 50,
+                            "spread": 0 if none else 30,
+                            "plausibility": np.nan if none else 0.95,
                             "iterations": 100,
                             "error_px": np.nan if none else error,
                             "median_error_px": np.nan if none else 0.8 * error,

@@ -28,6 +28,7 @@ KEYS = [
     "F",
     "support",
     "matches",
+    "spread",
     "plausibility",
     "iterations",
     "estimator",
@@ -69,6 +70,7 @@ def estimate_of(status=Status.OK, message="", **changes):
         input="default",
         message=message,
         seconds={"estimator": 0.25},
+        spread=41 if ok else 0,
         plausibility=0.875,
     )
     return replace(found, **changes)
@@ -116,7 +118,7 @@ def test_estimate_as_json(library):
     assert printed["status"] == "ok"
     assert printed["support"] == PAIR.right.sum()
     assert printed["matches"] == len(PAIR.matches)
-    assert printed["plausibility"] == 0.875
+    assert (printed["spread"], printed["plausibility"]) == (41, 0.875)
     assert printed["preset"] == "default"
     assert printed["seed"] == 5
     assert printed["seconds"] == {"estimator": 0.25}
@@ -153,7 +155,7 @@ def test_estimate_as_text(library):
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
     about = f"usac: ok, support {PAIR.right.sum()} of {len(PAIR.matches)} matches"
-    assert lines[0] == f"{about}, plausibility 0.88"
+    assert lines[0] == f"{about} in 41 cells, plausibility 0.88"
     np.testing.assert_allclose([[float(v) for v in line.split()] for line in lines[1:4]], PAIR.F, rtol=1e-9)
 
 

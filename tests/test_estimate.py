@@ -15,6 +15,7 @@ from epiprior.estimators import fit as run_fit
 from epiprior.geometry import sampson_distance
 from epiprior.handover import HandOver
 from epiprior.plausibility import camera_plausibility
+from epiprior.spread import spread_of
 from epiprior.types import MatchSet, Status
 from synthetic import SyntheticPair, make_matches, make_pair
 
@@ -60,6 +61,23 @@ def test_plausibility_is_of_the_raw_F_in_pixels_as_given():
     assert scaled.raw_F is not None
     assert scaled.plausibility == camera_plausibility(scaled.raw_F[None], large.image_sizes)[0]
     assert scaled.plausibility == pytest.approx(estimate.plausibility, abs=0.01)
+
+
+def test_spread_is_counted_at_working_size():
+    pair = make_pair(inliers=150, outliers=100)
+    small = estimate_from_matches([pair.matches], estimator="usac", hand_over=HandOver())
+    assert small.spread == spread_of(small.x1[small.inliers], small.x2[small.inliers]) > 20
+    assert run("usac", pair.matches).spread == small.spread
+    large = replace(pair.matches, x1=3 * pair.matches.x1, x2=2 * pair.matches.x2)
+    scaled = estimate_from_matches([large], estimator="usac", hand_over=HandOver(), pixel_factors=(3.0, 2.0))
+    assert scaled.spread == pytest.approx(small.spread, abs=2)
+    assert scaled.spread < 0.8 * spread_of(scaled.x1[scaled.inliers], scaled.x2[scaled.inliers])
+
+
+def test_without_inliers_nothing_is_covered():
+    plane = make_pair(scene="plane", seed=2).matches
+    assert run("usac", plane).spread == 0
+    assert estimate_from_matches([plane], estimator="usac", hand_over=HandOver()).spread == 0
 
 
 def test_plausibility_is_there_whatever_the_verdict_says():

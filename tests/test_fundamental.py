@@ -15,14 +15,15 @@ from epiprior.fundamental import estimate_fundamental
 from epiprior.geometry import sampson_distance
 from epiprior.handover import HandOver
 from epiprior.models import load_model
+from epiprior.plausibility import camera_plausibility
 from epiprior.presets import find_preset
 from epiprior.types import MatchSet, RankedMatches, Status
 from pictures import relief_pair, texture
 from synthetic import make_pair
 from tiny_model import make_model
 
-KEEP_ALL = CascadeRule(min_support=0, min_inlier_ratio=0.0)
-KEEP_NONE = CascadeRule(min_support=10**6, min_inlier_ratio=1.0)
+KEEP_ALL = CascadeRule(min_spread=0, min_plausibility=0.0)
+KEEP_NONE = CascadeRule(min_spread=10**6, min_plausibility=1.0)
 
 
 def ranked_of(matches: MatchSet, standard: MatchSet) -> RankedMatches:
@@ -216,9 +217,15 @@ def test_a_threshold_is_for_both_inputs(ranking):
         assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.8)
 
 
-def test_the_rule_of_the_estimator_is_used(ranking, monkeypatch):
-    rules = {"usac": KEEP_ALL, "prosac": KEEP_NONE}
-    monkeypatch.setattr(fundamental, "load_cascade_rules", lambda: rules)
+@pytest.mark.parametrize(("rule", "taken"), [(KEEP_ALL, "standard"), (KEEP_NONE, "default")])
+def test_the_rule_of_the_models_is_used(ranking, monkeypatch, rule, taken):
+    monkeypatch.setattr(fundamental, "load_cascade_rule", lambda: rule)
     left, right = relief_pair(240, 180)
-    inputs = [estimate_fundamental(left, right, estimator=name, mode="cascade").input for name in rules]
-    assert inputs == ["standard", "default"]
+    assert estimate_fundamental(left, right, mode="cascade").input == taken
+
+
+def test_spread_and_plausibility_are_known_of_photographs(ranking):
+    left, right = relief_pair(240, 180)
+    found = estimate_fundamental(left, right, mode="standard")
+    assert 0 < found.spread <= 5 * 4  # so many cells of 48 pixels the images have
+    assert found.plausibility == camera_plausibility(found.raw_F[None], ((240, 180), (240, 180)))[0]

@@ -1,16 +1,19 @@
 """When an estimate on standard matches is good enough to do without preprocessing (paper, end of the results).
 
 The paper recommends preprocessing "only on challenging image pairs or when the standard method failed". Here the
-standard method fails if it gives no F, or one whose support or share of inliers is low. How low is chosen per
-estimator on validation scenes and kept in ``models/cascade.json``.
+standard method fails if it gives no F, if the inliers of F cover little of the images, or if two ordinary photographs
+could hardly have it. One rule serves all estimators; its two numbers are chosen on validation scenes and kept in
+``models/cascade.json``.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from epiprior.errors import SettingsError
 from epiprior.settings_file import find_settings_file, read_settings_file
@@ -23,81 +26,72 @@ class CascadeRule:
 
     Parameters
     ----------
-    min_support : int
-        Inliers, >= 0.
-    min_inlier_ratio : float
-        Inliers over the matches among which they were counted, in [0, 1]: those handed to the estimator, or,
-        where the hand-over collects support again, those collected.
+    min_spread : int
+        Cells of 48 x 48 pixels with inliers, in each of the images (`epiprior.spread`), >= 0.
+    min_plausibility : float
+        Of F (`epiprior.plausibility`), in [0, 1]. One that is not known counts as 0.
 
     Raises
     ------
     SettingsError
         If a value is out of its range.
+
+    Notes
+    -----
+    Ours. Support and share of inliers tell less: on a repeated facade a wrong F has many inliers too, but they lie
+    close together, or need cameras that do not exist.
     """
 
-    min_support: int = 100
-    min_inlier_ratio: float = 0.5
+    min_spread: int = 30
+    min_plausibility: float = 0.93
 
     def __post_init__(self) -> None:
-        support, ratio = self.min_support, self.min_inlier_ratio
-        if isinstance(support, bool) or not isinstance(support, int) or support < 0:
-            raise SettingsError(f"min_support is {support!r}, expected a whole number of at least 0")
-        number = isinstance(ratio, int | float) and not isinstance(ratio, bool)
-        if not number or not 0 <= ratio <= 1:  # also refuses NaN
-            raise SettingsError(f"min_inlier_ratio is {ratio!r}, expected a number in [0, 1]")
+        spread, plausibility = self.min_spread, self.min_plausibility
+        if isinstance(spread, bool) or not isinstance(spread, int) or spread < 0:
+            raise SettingsError(f"min_spread is {spread!r}, expected a whole number of at least 0")
+        number = isinstance(plausibility, int | float) and not isinstance(plausibility, bool)
+        if not number or not 0 <= plausibility <= 1:  # also refuses NaN
+            raise SettingsError(f"min_plausibility is {plausibility!r}, expected a number in [0, 1]")
 
     def keeps(self, estimate: FundamentalEstimate) -> bool:
         """Return whether an estimate on standard matches is kept, so that nothing is preprocessed."""
-        return self.keeps_support(estimate.status, estimate.support, len(estimate.x1))
+        return self.keeps_numbers(estimate.status, estimate.spread, estimate.plausibility)
 
-    def keeps_support(self, status: str, support: int, matches: int) -> bool:
-        """Return the same from the numbers alone: the status, and how many of how many matches are inliers."""
-        enough = support >= max(self.min_support, 1) and support >= self.min_inlier_ratio * matches
-        return status == Status.OK and enough
+    def keeps_numbers(self, status: str, spread: int, plausibility: float) -> bool:
+        """Return the same from the status, the spread of the inliers and the plausibility of F alone."""
+        known = 0.0 if math.isnan(plausibility) else plausibility
+        return status == Status.OK and spread >= self.min_spread and known >= self.min_plausibility
 
 
-def load_cascade_rules(path: Path | None = None) -> dict[str, CascadeRule]:
-    """Return the rule of every estimator.
+def load_cascade_rule(path: Path | None = None) -> CascadeRule:
+    """Return the rule of the cascade.
 
     Parameters
     ----------
     path : Path, optional
-        JSON of the form ``{estimator: {"min_support": ..., "min_inlier_ratio": ...}}``, both for each estimator
-        that it names; others keep the defaults of `CascadeRule`. None: the file that comes with the models; where
-        there is none, the defaults for all.
+        JSON of the form ``{"min_spread": ..., "min_plausibility": ...}``. None: the file that comes with the models;
+        where there is none, the defaults of `CascadeRule`.
 
     Raises
     ------
     SettingsError
-        If the file cannot be read, names an estimator or a value that does not exist, or leaves out a value.
+        If the file cannot be read, names a value that does not exist, or leaves one out.
     """
-    from epiprior.estimators import names
-
-    table = {name: CascadeRule() for name in names()}
-    found = path if path is not None else find_cascade_rules()
-    if found is None:
-        return table
-    for estimator, values in read_settings_file(found).items():
-        if estimator not in table:
-            raise SettingsError(f"{found}: unknown estimator {estimator!r}, known: {', '.join(table)}")
-        table[estimator] = _parse(f"{found}: {estimator}", values)
-    return table
+    found = path if path is not None else find_cascade_rule()
+    return CascadeRule() if found is None else _parse(str(found), read_settings_file(found))
 
 
-def save_cascade_rules(path: Path, table: Mapping[str, CascadeRule]) -> None:
-    """Write what `load_cascade_rules` reads; the same table gives the same bytes."""
-    plain = {name: asdict(rule) for name, rule in table.items()}
-    path.write_text(json.dumps(plain, indent=2, sort_keys=True) + "\n", encoding="utf-8", newline="\n")
+def save_cascade_rule(path: Path, rule: CascadeRule) -> None:
+    """Write what `load_cascade_rule` reads; the same rule gives the same bytes."""
+    path.write_text(json.dumps(asdict(rule), indent=2, sort_keys=True) + "\n", encoding="utf-8", newline="\n")
 
 
-def find_cascade_rules() -> Path | None:
+def find_cascade_rule() -> Path | None:
     """Return the file that comes with the models; None if there is none."""
     return find_settings_file("cascade.json")
 
 
-def _parse(where: str, values: object) -> CascadeRule:
-    if not isinstance(values, dict):
-        raise SettingsError(f"{where}: {type(values).__name__}, expected an object")
+def _parse(where: str, values: Mapping[str, Any]) -> CascadeRule:
     known = [field.name for field in fields(CascadeRule)]
     unknown = sorted(set(values) - set(known))
     missing = [name for name in known if name not in values]

@@ -18,6 +18,7 @@ from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior.handover import HandOver, hand_over
 from epiprior.plausibility import known_plausibility
 from epiprior.refine import refine_fundamental
+from epiprior.spread import spread_of
 from epiprior.types import FloatArray, FundamentalEstimate, ImageSizes, MatchSet, Status
 
 
@@ -104,6 +105,7 @@ def estimate_from_matches(
         roll_deg=best.roll_deg,
         message=message,
         seconds={"estimator": running, "support": time.perf_counter() - start - running},
+        spread=spread_of(collected.x1[inliers], collected.x2[inliers]),
         plausibility=known_plausibility(raw_F, given.image_sizes),
     )
 

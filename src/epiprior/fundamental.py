@@ -8,7 +8,7 @@ from typing import get_args
 
 from epiprior import preprocess as preprocessing
 from epiprior.baselines import generalized_matches, standard_set
-from epiprior.cascade import CascadeRule, load_cascade_rules
+from epiprior.cascade import CascadeRule, load_cascade_rule
 from epiprior.errors import SettingsError
 from epiprior.estimate import estimate_from_matches
 from epiprior.estimators import find_estimator
@@ -65,7 +65,7 @@ def estimate_fundamental(
         Instead of the one that was chosen on validation scenes for this estimator and input. A cascade has two
         inputs and takes none.
     rule : CascadeRule, optional
-        Of the cascade, instead of the one that was chosen on validation scenes for this estimator.
+        Of the cascade, instead of the one that was chosen on validation scenes.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def estimate_fundamental(
         return request.on_ranked()
     if chosen == "standard":
         return request.on_standard()[0]
-    return request.cascade(rule or load_cascade_rules()[estimator])
+    return request.cascade(rule or load_cascade_rule())
 
 
 def _chosen_mode(mode: Mode | None, preprocess: bool | None) -> Mode:

@@ -61,6 +61,8 @@ def entries(value: Any, name: str = "") -> list[tuple[str, str]]:
 def summary(found: FundamentalEstimate) -> str:
     """Return an estimate in one line."""
     support = f"{found.estimator}: {found.status.value}, support {found.support} of {len(found.x1)} matches"
+    if found.support:
+        support += f" in {found.spread} cells"
     if math.isfinite(found.plausibility):
         support += f", plausibility {found.plausibility:.2f}"
     return f"{support}; {found.message}" if found.message else support
@@ -83,6 +85,7 @@ def estimate_as_json(found: FundamentalEstimate, preset: str, seed: int) -> dict
         "F": None if found.F is None else found.F.tolist(),
         "support": int(found.support),
         "matches": len(found.x1),
+        "spread": int(found.spread),
         "plausibility": float(found.plausibility),
         "iterations": None if found.iterations is None else int(found.iterations),
         "estimator": found.estimator,

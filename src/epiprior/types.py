@@ -236,6 +236,9 @@ class FundamentalEstimate:
         For a reader: why `status` is not ``ok``; empty otherwise.
     seconds : mapping of str to float
         Wall time per step.
+    spread : int
+        How much of the images the inliers cover: in how many cells of 48 x 48 pixels at working size they lie, of the
+        two images the fewer (`epiprior.spread`).
     plausibility : float
         Of `raw_F`, in [0, 1]: whether two ordinary cameras can have it (`epiprior.plausibility`). No match takes part
         in it, so that it tells more of an F with much support than the support does. NaN without an F, and where the
@@ -256,6 +259,7 @@ class FundamentalEstimate:
     raw_F: FloatArray | None = None
     message: str = ""
     seconds: Mapping[str, float] = field(default_factory=lambda: EMPTY_MAPPING)
+    spread: int = 0
     plausibility: float = math.nan
 
     def __bool__(self) -> bool:

@@ -1,7 +1,10 @@
-"""When an estimate without preprocessing is good enough, learnt on validation scenes, one rule per estimator.
+"""When an estimate without preprocessing is good enough, learnt on validation scenes: one rule for all estimators.
 
 Every run of the evaluation exists without and with the preprocessing step, for the same pair and seed. A cascade
 takes one or the other, so each rule's outcome follows from these runs; nothing is run again.
+
+Why one rule: validation scenes are few, and a single one on which an estimator is badly fooled is three per cent of its
+runs. The runs of all estimators together tell more, since rarely all are fooled at once.
 """
 
 from __future__ import annotations
@@ -23,8 +26,9 @@ from epiprior_lab.parallel import Task, map_tasks
 from epiprior_lab.params import CascadeParams
 
 PREPROCESSED = "default"
-# Nothing has so many inliers: the rule of an estimator for which no other keeps within the tolerance.
-NEVER = CascadeRule(min_support=1_000_000, min_inlier_ratio=1.0)
+ALL = "all"
+# Nothing is spread so far: the rule where no other keeps within the tolerance.
+NEVER = CascadeRule(min_spread=1_000_000, min_plausibility=1.0)
 
 
 def validation_rows(
@@ -89,13 +93,13 @@ def paired_runs(results: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     results : DataFrame
-        Rows of the evaluation with columns ``family, pair_id, scene, estimator, input, seed, status, support,
-        matches, error_px``. Inputs other than `matching.WITHOUT` and ``default`` are left out.
+        Rows of the evaluation with columns ``family, pair_id, scene, estimator, input, seed, status, spread,
+        plausibility, error_px``. Inputs other than `matching.WITHOUT` and ``default`` are left out.
 
     Returns
     -------
     DataFrame
-        One row per family, pair, estimator and seed: ``status``, ``support`` and ``matches`` without
+        One row per family, pair, estimator and seed: ``status``, ``spread`` and ``plausibility`` without
         preprocessing, ``with_status`` with it, and the errors ``without_px``, ``with_px``, infinite without F. The
         verdict decides what a cascade does, not whether its F is right.
     """
@@ -103,14 +107,14 @@ def paired_runs(results: pd.DataFrame) -> pd.DataFrame:
     table = results.assign(error_px=results["error_px"].fillna(np.inf))
     without = table[table["input"].isin(WITHOUT)].rename(columns={"error_px": "without_px"})
     with_step = table[table["input"] == PREPROCESSED].rename(columns={"error_px": "with_px", "status": "with_status"})
-    left = without[[*keys, "status", "support", "matches", "without_px"]]
+    left = without[[*keys, "status", "spread", "plausibility", "without_px"]]
     return left.merge(with_step[[*keys, "with_status", "with_px"]], on=keys, how="inner", validate="one_to_one")
 
 
 def kept_runs(runs: pd.DataFrame, rules: Sequence[CascadeRule]) -> BoolArray:
     """Return which runs each rule keeps without preprocessing, shape (len(rules), len(runs))."""
-    columns = [runs[name].to_list() for name in ("status", "support", "matches")]
-    kept = [[rule.keeps_support(*run) for run in zip(*columns, strict=True)] for rule in rules]
+    columns = [runs[name].to_list() for name in ("status", "spread", "plausibility")]
+    kept = [[rule.keeps_numbers(*run) for run in zip(*columns, strict=True)] for rule in rules]
     return np.array(kept, dtype=np.bool_).reshape(len(rules), len(runs))
 
 
@@ -133,8 +137,8 @@ def lost_runs(runs: pd.DataFrame, kept: BoolArray, threshold_px: float) -> BoolA
 
 def candidate_rules(params: CascadeParams) -> list[CascadeRule]:
     """Return the rules that are tried, strictest first."""
-    grid = itertools.product(sorted(params.min_inlier_ratio, reverse=True), sorted(params.min_support, reverse=True))
-    return [NEVER, *(CascadeRule(min_support=support, min_inlier_ratio=ratio) for ratio, support in grid)]
+    grid = itertools.product(sorted(params.min_plausibility, reverse=True), sorted(params.min_spread, reverse=True))
+    return [NEVER, *(CascadeRule(min_spread=spread, min_plausibility=least) for least, spread in grid)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,33 +149,29 @@ class LearntRule:
     ----------
     rule : CascadeRule
         The choice.
-    preprocessed : float
-        Share of the runs that it preprocesses.
-    lost : float
-        Share of the runs that succeed with preprocessing and that it loses.
-    held_out_preprocessed, held_out_lost : float
-        The same, each scene under the rule that the other scenes would have chosen.
+    outcomes : DataFrame
+        Indexed by estimator, in the order of the runs, `ALL` last; shares of the runs: ``preprocessed``, ``lost``
+        (those that succeed with preprocessing and not with the cascade), and the same as ``held_out_preprocessed``
+        and ``held_out_lost``, each scene under the rule that the other scenes would have chosen.
     """
 
     rule: CascadeRule
-    preprocessed: float
-    lost: float
-    held_out_preprocessed: float
-    held_out_lost: float
+    outcomes: pd.DataFrame
 
 
-def learn_rule(runs: pd.DataFrame, params: CascadeParams, thresholds_px: Sequence[float]) -> LearntRule:
-    """Choose the rule that preprocesses least and loses no more than is tolerated.
+def learn_rule(runs: pd.DataFrame, params: CascadeParams, *, success_px: float, strict_px: float) -> LearntRule:
+    """Choose the rule that preprocesses least and loses no more than is tolerated, over all estimators together.
 
     Parameters
     ----------
     runs : DataFrame
-        Of one estimator, as from `paired_runs`, on validation scenes.
+        Of all estimators, as from `paired_runs`, on validation scenes.
     params : CascadeParams
-        Values that are tried, and the tolerance: share of all runs that may be lost, at each threshold. Runs that
-        the cascade wins do not make up for lost ones.
-    thresholds_px : sequence of float
-        Of success; the first is the one that is reported.
+        Values that are tried, and the tolerances: shares of all runs that may be lost. Runs that the cascade wins do
+        not make up for lost ones.
+    success_px, strict_px : float
+        Of success, pixels: `CascadeParams.tolerance` holds at the first, where the cascade gave a wrong answer instead
+        of a right one, `CascadeParams.strict_tolerance` at the second, where it mostly gave a less exact one.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def learn_rule(runs: pd.DataFrame, params: CascadeParams, thresholds_px: Sequenc
     """
     rules = candidate_rules(params)
     kept = kept_runs(runs, rules)
-    lost = np.stack([lost_runs(runs, kept, threshold) for threshold in thresholds_px])
+    lost = np.stack([lost_runs(runs, kept, threshold) for threshold in (success_px, strict_px)])
     best = _choose(kept, lost, params)
     scenes = runs["scene"].to_numpy(str)
     held_kept, held_lost = np.zeros(len(runs), np.bool_), np.zeros(len(runs), np.bool_)
@@ -191,19 +191,23 @@ def learn_rule(runs: pd.DataFrame, params: CascadeParams, thresholds_px: Sequenc
             continue
         other = _choose(kept[:, ~own], lost[:, :, ~own], params)
         held_kept[own], held_lost[own] = kept[other, own], lost[0, other, own]
-    return LearntRule(
-        rule=rules[best],
-        preprocessed=1.0 - float(kept[best].mean()),
-        lost=float(lost[0, best].mean()),
-        held_out_preprocessed=1.0 - float(held_kept.mean()),
-        held_out_lost=float(held_lost.mean()),
+    outcomes = pd.DataFrame(
+        {
+            "preprocessed": ~kept[best],
+            "lost": lost[0, best],
+            "held_out_preprocessed": ~held_kept,
+            "held_out_lost": held_lost,
+        }
     )
+    each = outcomes.groupby(runs["estimator"].to_numpy(str), sort=False).mean()
+    return LearntRule(rule=rules[best], outcomes=pd.concat([each, outcomes.mean().to_frame(ALL).T]))
 
 
 def _choose(kept: BoolArray, lost: BoolArray, params: CascadeParams) -> int:
-    """Return the number of the rule that keeps most of those with a margin; `kept` is (R, N), `lost` is (T, R, N)."""
-    within = (lost.mean(axis=2) <= params.tolerance).all(axis=0)
-    grid = within[1:].reshape(len(params.min_inlier_ratio), len(params.min_support))  # strictest first, after NEVER
+    """Return the number of the rule that keeps most of those with a margin; `kept` is (R, N), `lost` is (2, R, N)."""
+    tolerances = np.array([params.tolerance, params.strict_tolerance])
+    within = (lost.mean(axis=2) <= tolerances[:, None]).all(axis=0)
+    grid = within[1:].reshape(len(params.min_plausibility), len(params.min_spread))  # strictest first, after NEVER
     safe = grid.copy()
     safe[:-1] &= grid[1:]
     safe[:, :-1] &= grid[:, 1:]
@@ -217,7 +221,7 @@ def trade_off(runs: pd.DataFrame, params: CascadeParams, threshold_px: float) ->
     Returns
     -------
     DataFrame
-        ``min_support, min_inlier_ratio, preprocessed, lost`` (shares of the runs), most preprocessed first.
+        ``min_spread, min_plausibility, preprocessed, lost`` (shares of the runs), most preprocessed first.
     """
     rules = candidate_rules(params)
     kept = kept_runs(runs, rules)
@@ -228,8 +232,8 @@ def trade_off(runs: pd.DataFrame, params: CascadeParams, threshold_px: float) ->
     front = order[np.flatnonzero(np.append(True, least[1:] < least[:-1]))]
     return pd.DataFrame(
         {
-            "min_support": [rules[k].min_support for k in front],
-            "min_inlier_ratio": [rules[k].min_inlier_ratio for k in front],
+            "min_spread": [rules[k].min_spread for k in front],
+            "min_plausibility": [rules[k].min_plausibility for k in front],
             "preprocessed": share[front],
             "lost": lost[front],
         }

@@ -104,8 +104,8 @@ def estimate_row(
     Returns
     -------
     dict
-        ``status``, ``support`` out of so many ``matches``, ``iterations``, ``error_px`` (mean of the roots of the
-        Sampson distances) and ``median_error_px``.
+        ``status``, ``support`` out of so many ``matches``, ``spread``, ``plausibility``, ``iterations``,
+        ``error_px`` (mean of the roots of the Sampson distances) and ``median_error_px``.
 
     Notes
     -----
@@ -124,6 +124,8 @@ def estimate_row(
         "status": str(estimate.status),
         "support": estimate.support,
         "matches": len(estimate.x1),
+        "spread": estimate.spread,
+        "plausibility": estimate.plausibility,
         "iterations": estimate.iterations,
         "error_px": float(distances.mean()),
         "median_error_px": float(np.median(distances)),

@@ -165,12 +165,13 @@ class EvaluateParams(Section):
 
 @dataclass(frozen=True, kw_only=True)
 class CascadeParams(Section):
-    """Seeds, candidates and tolerance of the rule by which an estimate without preprocessing is kept."""
+    """Seeds, candidates and tolerances of the rule by which an estimate without preprocessing is kept."""
 
     seeds: tuple[Seed, ...]
     tolerance: Probability
-    min_support: tuple[Annotated[int, Range(0, 1_000_000)], ...]
-    min_inlier_ratio: tuple[Probability, ...]
+    strict_tolerance: Probability
+    min_spread: tuple[Annotated[int, Range(0, 1_000_000)], ...]
+    min_plausibility: tuple[Probability, ...]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from epiprior.cascade import CascadeRule
 from epiprior.errors import SettingsError
 from epiprior_lab import cascade_rule
 from epiprior_lab.cascade_rule import (
+    ALL,
     NEVER,
     candidate_rules,
     cascade_errors,
@@ -22,19 +23,24 @@ from epiprior_lab.cascade_rule import (
 )
 from epiprior_lab.params import CascadeParams
 from epiprior_lab.reports.cascade_figure import cascade_figure
-from epiprior_lab.reports.cascade_tables import ALL, cascade_markdown, cascade_seconds, cascade_table
+from epiprior_lab.reports.cascade_tables import cascade_markdown, cascade_seconds, cascade_table
 from epiprior_lab.reports.study import ReportError
 from epiprior_lab.stages import cascade as stage
 
 PARAMS = CascadeParams(
-    seeds=(0,), tolerance=0.01, min_support=(0, 50, 100, 200), min_inlier_ratio=(0.0, 0.25, 0.5, 0.75)
+    seeds=(0,),
+    tolerance=0.01,
+    strict_tolerance=0.01,
+    min_spread=(0, 50, 100, 200),
+    min_plausibility=(0.0, 0.25, 0.5, 0.75),
 )
+AT = {"success_px": 10.0, "strict_px": 3.0}
 INF = float("inf")
 
 
 def runs_of(rows, estimator="usac"):
-    """Rows are (scene, support, matches, error without, error with)."""
-    columns = ["scene", "support", "matches", "without_px", "with_px"]
+    """Rows are (scene, spread, plausibility, error without, error with)."""
+    columns = ["scene", "spread", "plausibility", "without_px", "with_px"]
     table = pd.DataFrame(rows, columns=columns)
     table["status"] = np.where(np.isinf(table["without_px"]), "no_model", "ok")
     table["with_status"] = np.where(np.isinf(table["with_px"]), "no_model", "ok")
@@ -46,7 +52,7 @@ def test_runs_are_paired_and_other_inputs_left_out():
     def row(pair, name, seed, status, error):
         return {
             "family": "open", "pair_id": pair, "scene": "s", "estimator": "usac", "input": name, "seed": seed,
-            "status": status, "support": 40 if name == "standard" else 90, "matches": 80, "error_px": error,
+            "status": status, "spread": 40 if name == "standard" else 90, "plausibility": 0.8, "error_px": error,
         }  # fmt: skip
 
     rows = [
@@ -62,7 +68,7 @@ def test_runs_are_paired_and_other_inputs_left_out():
     assert got["without_px"].to_dict() == {("b", 1): 3.0, ("b", 0): 2.0, ("a", 0): 5.0}  # whatever the verdict says
     assert got["with_px"].to_dict() == {("b", 1): 4.0, ("b", 0): INF, ("a", 0): 6.0}
     assert got["with_status"].to_dict() == {("b", 1): "ok", ("b", 0): "no_model", ("a", 0): "ok"}
-    assert got["support"].to_dict() == {("b", 1): 40, ("b", 0): 40, ("a", 0): 90}
+    assert got["spread"].to_dict() == {("b", 1): 40, ("b", 0): 40, ("a", 0): 90}
     with pytest.raises(pd.errors.MergeError):
         paired_runs(pd.DataFrame([*rows, rows[0]]))
 
@@ -70,14 +76,14 @@ def test_runs_are_paired_and_other_inputs_left_out():
 def test_a_cascade_takes_one_or_the_other_and_falls_back():
     runs = runs_of(
         [
-            ("a", 120, 200, 1.0, 2.0),  # kept
-            ("b", 20, 200, 50.0, 2.0),  # preprocessed
-            ("c", 20, 200, 3.0, INF),  # preprocessed in vain: what was there is better than nothing
-            ("d", 0, 200, INF, INF),
-            ("e", 120, 200, 30.0, 1.0),  # kept, alas
+            ("a", 120, 0.6, 1.0, 2.0),  # kept
+            ("b", 120, 0.4, 50.0, 2.0),  # preprocessed
+            ("c", 20, 0.9, 3.0, INF),  # preprocessed in vain: what was there is better than nothing
+            ("d", 0, np.nan, INF, INF),
+            ("e", 120, 0.6, 30.0, 1.0),  # kept, alas
         ]
     )
-    rule = CascadeRule(min_support=50, min_inlier_ratio=0.5)
+    rule = CascadeRule(min_spread=50, min_plausibility=0.5)
     kept = kept_runs(runs, [rule, NEVER])
     assert kept.tolist() == [[True, False, False, False, True], [False] * 5]
     assert cascade_errors(runs, kept[0]).tolist() == [1.0, 2.0, 3.0, INF, 30.0]
@@ -86,7 +92,7 @@ def test_a_cascade_takes_one_or_the_other_and_falls_back():
 
 
 def test_a_cascade_trusts_the_verdict_even_where_it_is_wrong():
-    runs = runs_of([("a", 20, 200, 50.0, 2.0), ("b", 20, 200, 50.0, 2.0)])
+    runs = runs_of([("a", 20, 0.6, 50.0, 2.0), ("b", 20, 0.6, 50.0, 2.0)])
     runs["with_status"] = "degenerate"
     runs.loc[1, "status"] = "degenerate"
     assert cascade_errors(runs, np.array([False, False])).tolist() == [50.0, 2.0]
@@ -95,74 +101,94 @@ def test_a_cascade_trusts_the_verdict_even_where_it_is_wrong():
 def test_candidates_go_from_never_to_always():
     rules = candidate_rules(PARAMS)
     assert rules[0] == NEVER
-    assert rules[1] == CascadeRule(min_support=200, min_inlier_ratio=0.75)
-    assert rules[-1] == CascadeRule(min_support=0, min_inlier_ratio=0.0)
+    assert rules[1] == CascadeRule(min_spread=200, min_plausibility=0.75)
+    assert rules[-1] == CascadeRule(min_spread=0, min_plausibility=0.0)
     assert len(set(rules)) == 17
 
 
-def many_runs(n=60, bad_support=80, seed=0):
-    """Right answers have 150 to 400 inliers and a high share; wrong ones fewer than `bad_support`."""
+def many_runs(n=60, bad_spread=80, seed=0):
+    """Right answers have a spread of 150 to 400 and are plausible; wrong ones have less than `bad_spread`."""
     rng = np.random.default_rng(seed)
     right = rng.random(n) < 0.5
-    support = np.where(right, rng.integers(150, 400, n), rng.integers(8, bad_support, n))
-    matches = np.where(right, support * 1.2, support * 5).astype(int)
+    spread = np.where(right, rng.integers(150, 400, n), rng.integers(8, bad_spread, n))
+    plausibility = np.where(right, 0.8, 0.2)
     without = np.where(right, 0.5, 40.0)
-    return runs_of(list(zip([f"s{i}" for i in range(n)], support, matches, without, np.full(n, 0.7), strict=True)))
+    scenes = [f"s{i}" for i in range(n)]
+    return runs_of(list(zip(scenes, spread, plausibility, without, np.full(n, 0.7), strict=True)))
 
 
 def test_the_learnt_rule_tells_right_from_wrong_and_is_strict():
     runs = many_runs()
-    found = learn_rule(runs, PARAMS, (10.0, 3.0))
+    found = learn_rule(runs, PARAMS, **AT)
     right = runs["without_px"] < 10
-    assert found.preprocessed == pytest.approx(1 - right.mean())
-    assert (found.lost, found.held_out_lost) == (0.0, 0.0)
-    # Supports of 50 and lower shares would do as well on these runs.
-    assert found.rule == CascadeRule(min_support=100, min_inlier_ratio=0.75)
-    assert found.held_out_preprocessed == pytest.approx(found.preprocessed, abs=0.1)
+    outcome = found.outcomes.loc["usac"]
+    assert outcome["preprocessed"] == pytest.approx(1 - right.mean())
+    assert (outcome["lost"], outcome["held_out_lost"]) == (0.0, 0.0)
+    # A spread of 50 and lower plausibilities would do as well on these runs.
+    assert found.rule == CascadeRule(min_spread=100, min_plausibility=0.75)
+    assert outcome["held_out_preprocessed"] == pytest.approx(outcome["preprocessed"], abs=0.1)
 
 
-def test_the_tolerance_holds_at_every_threshold_and_wins_buy_nothing():
-    rows = [("a", 300, 310, 1.0, 1.0)] * 97 + [("b", 250, 260, 5.0, 1.0)] * 3
+def test_each_tolerance_holds_at_its_own_threshold_and_wins_buy_nothing():
+    rows = [("a", 300, 0.9, 1.0, 1.0)] * 97 + [("b", 250, 0.9, 5.0, 1.0)] * 3
     runs = runs_of([(f"{scene}{i}", *rest) for i, (scene, *rest) in enumerate(rows)])
-    loose, both = (learn_rule(runs, PARAMS, thresholds) for thresholds in ((10.0,), (10.0, 3.0)))
-    assert (loose.preprocessed, both.preprocessed) == (0.0, 1.0)
-    assert both.rule == NEVER
-    wins = runs_of([(f"w{i}", 300, 310, 1.0, 50.0) for i in range(50)])
+    loose = replace(PARAMS, strict_tolerance=0.03)
+    assert learn_rule(runs, PARAMS, **AT).rule == NEVER
+    assert learn_rule(runs, loose, **AT).outcomes.loc[ALL, "preprocessed"] == 0.0
+    wrong = runs.assign(without_px=runs["without_px"].replace(5.0, 50.0))
+    assert learn_rule(wrong, loose, **AT).rule == NEVER
+    assert learn_rule(wrong, replace(loose, tolerance=0.03), **AT).rule != NEVER
+    wins = runs_of([(f"w{i}", 300, 0.9, 1.0, 50.0) for i in range(50)])
     won = pd.concat([runs, wins], ignore_index=True)
-    assert learn_rule(won, PARAMS, (10.0, 3.0)).rule == NEVER
-    assert learn_rule(won, replace(PARAMS, tolerance=0.03), (10.0, 3.0)).preprocessed == 0.0
+    assert learn_rule(won, PARAMS, **AT).rule == NEVER
 
 
 def test_a_rule_has_a_margin_in_both_values():
-    """A share of 0.5 and a support of 100 part right from wrong, but the wrong ones are just below."""
-    right = [(f"r{i}", 250, 260, 1.0, 1.0) for i in range(10)] + [(f"q{i}", 110, 140, 1.0, 1.0) for i in range(10)]
-    by_support = runs_of([*right, ("w", 99, 110, 50.0, 1.0)])
-    (kept,) = kept_runs(by_support, [CascadeRule(min_support=100, min_inlier_ratio=0.75)])
-    assert not lost_runs(by_support, kept, 10.0).any()
+    """A plausibility of 0.5 and a spread of 100 part right from wrong, but the wrong ones are just below."""
+    right = [(f"r{i}", 250, 0.9, 1.0, 1.0) for i in range(10)] + [(f"q{i}", 110, 0.8, 1.0, 1.0) for i in range(10)]
+    by_spread = runs_of([*right, ("w", 99, 0.9, 50.0, 1.0)])
+    (kept,) = kept_runs(by_spread, [CascadeRule(min_spread=100, min_plausibility=0.75)])
+    assert not lost_runs(by_spread, kept, 10.0).any()
     assert kept.sum() == 20
-    found = learn_rule(by_support, PARAMS, (10.0,))
-    assert found.rule == CascadeRule(min_support=200, min_inlier_ratio=0.75)
-    assert found.preprocessed == pytest.approx(11 / 21)
-    by_share = runs_of([*right, ("w", 190, 400, 50.0, 1.0)])
-    assert learn_rule(by_share, PARAMS, (10.0,)).rule == CascadeRule(min_support=100, min_inlier_ratio=0.75)
+    found = learn_rule(by_spread, PARAMS, **AT)
+    assert found.rule == CascadeRule(min_spread=200, min_plausibility=0.75)
+    assert found.outcomes.loc[ALL, "preprocessed"] == pytest.approx(11 / 21)
+    by_plausibility = runs_of([*right, ("w", 190, 0.49, 50.0, 1.0)])
+    expected = CascadeRule(min_spread=100, min_plausibility=0.75)
+    assert learn_rule(by_plausibility, PARAMS, **AT).rule == expected
 
 
 def test_held_out_shares_show_a_rule_that_one_scene_decides():
-    """The only wrong answer with high support: without its scene, the rule would keep it."""
+    """The only wrong answer of much spread: without its scene, the rule would keep it."""
     runs = runs_of(
-        [(f"s{i}", 250, 300, 1.0, 1.0) for i in range(30)]
-        + [(f"t{i}", 120, 300, 1.0, 1.0) for i in range(30)]
-        + [("bad", 120, 300, 90.0, 1.0)]
+        [(f"s{i}", 250, 0.8, 1.0, 1.0) for i in range(30)]
+        + [(f"t{i}", 120, 0.4, 1.0, 1.0) for i in range(30)]
+        + [("bad", 120, 0.4, 90.0, 1.0)]
     )
-    found = learn_rule(runs, PARAMS, (10.0,))
-    assert found.lost == 0.0
-    assert found.held_out_lost == pytest.approx(1 / 61)
-    assert found.rule.min_support == 200 or found.rule.min_inlier_ratio > 0.4
+    found = learn_rule(runs, PARAMS, **AT)
+    assert found.outcomes.loc[ALL, "lost"] == 0.0
+    assert found.outcomes.loc[ALL, "held_out_lost"] == pytest.approx(1 / 61)
+    assert found.rule.min_spread == 200 or found.rule.min_plausibility > 0.4
+
+
+def test_one_rule_serves_all_and_one_fooled_estimator_does_not_decide_alone():
+    """`usac` takes one freak scene of 50 for a good one, which is 2 % of its own runs but not of all."""
+    good = [(f"s{i}", 250, 0.9, 1.0, 1.0) for i in range(49)]
+    freak, seen_through = ("freak", 250, 0.9, 50.0, 1.0), ("freak", 5, 0.3, 50.0, 1.0)
+    others = [runs_of([*good, seen_through], estimator=name) for name in ("prosac", "beem")]
+    usac = runs_of([*good, freak])
+    assert learn_rule(usac, PARAMS, **AT).rule == NEVER
+    found = learn_rule(pd.concat([usac, *others], ignore_index=True), PARAMS, **AT)
+    assert found.rule.min_spread == 200
+    assert list(found.outcomes.index) == ["usac", "prosac", "beem", ALL]
+    assert found.outcomes["lost"].to_list() == pytest.approx([1 / 50, 0, 0, 1 / 150])
+    assert found.outcomes["preprocessed"].to_list() == pytest.approx([0, 1 / 50, 1 / 50, 2 / 150])
 
 
 def test_the_trade_off_falls_from_one_end_to_the_other():
-    runs = many_runs(bad_support=260, seed=2)
+    runs = many_runs(bad_spread=260, seed=2).assign(plausibility=0.8)
     front = trade_off(runs, PARAMS, 10.0)
+    assert len(front) > 2
     assert (np.diff(front["preprocessed"]) < 0).all()
     assert (np.diff(front["lost"]) > 0).all()
     assert front["lost"].iloc[0] == 0
@@ -173,7 +199,15 @@ def test_the_trade_off_falls_from_one_end_to_the_other():
 
 
 @pytest.mark.parametrize(
-    "bad", [{"tolerance": 1.5}, {"min_support": (-1,)}, {"min_inlier_ratio": (0.5, 0.5)}, {"seeds": ()}]
+    "bad",
+    [
+        {"tolerance": 1.5},
+        {"strict_tolerance": -0.1},
+        {"min_spread": (-1,)},
+        {"min_plausibility": (0.5, 0.5)},
+        {"min_plausibility": (1.5,)},
+        {"seeds": ()},
+    ],
 )
 def test_bad_parameters_are_named(bad):
     with pytest.raises(SettingsError, match=next(iter(bad))):
@@ -185,7 +219,7 @@ def study():
     splits = {
         split: pd.concat(
             [
-                many_runs(bad_support=150, seed=seed).assign(estimator=name, family=family)
+                many_runs(bad_spread=150, seed=seed).assign(estimator=name, family=family)
                 for name in ("usac", "prosac")
                 for family in ("open", "rolled")
             ],
@@ -193,15 +227,13 @@ def study():
         )
         for seed, split in enumerate(("validation", "test"))
     }
-    splits["test"].loc[7, ["without_px", "with_px", "support", "matches"]] = [60.0, 1.0, 399, 400]
-    valid = splits["validation"]
-    learnt = {name: learn_rule(valid[valid["estimator"] == name], PARAMS, (10.0, 3.0)) for name in ("usac", "prosac")}
-    return splits, learnt
+    splits["test"].loc[7, ["without_px", "with_px", "spread", "plausibility"]] = [60.0, 1.0, 399, 0.99]
+    return splits, learn_rule(splits["validation"], PARAMS, **AT)
 
 
 def test_the_table_counts_successes(study):
     splits, learnt = study
-    table = cascade_table(splits, learnt, thresholds_px=(10.0, 3.0), draws=200, seed=1)
+    table = cascade_table(splits, learnt.rule, thresholds_px=(10.0, 3.0), draws=200, seed=1)
     assert len(table) == 2 * 2 * 3 * 2
     by = table.set_index(["split", "estimator", "family", "threshold_px"])
     row = by.loc[("test", "usac", "open", 10.0)]
@@ -210,10 +242,10 @@ def test_the_table_counts_successes(study):
     assert row["without"] == (part["without_px"] < 10).sum()
     assert (row["lost"], row["won"], row["cascade"], row["change"]) == (1, 0, 59, -1)
     assert row["change_low"] < 0 <= row["change_high"]
-    (kept,) = kept_runs(part, [learnt["usac"].rule])
+    (kept,) = kept_runs(part, [learnt.rule])
     assert row["preprocessed"] == pytest.approx(1 - kept.mean())
     assert by.loc[("validation", "prosac", ALL, 3.0), "lost"] == 0
-    again = cascade_table(splits, learnt, thresholds_px=(10.0, 3.0), draws=200, seed=1)
+    again = cascade_table(splits, learnt.rule, thresholds_px=(10.0, 3.0), draws=200, seed=1)
     pd.testing.assert_frame_equal(table, again)
 
 
@@ -239,24 +271,29 @@ def test_time_is_saved_where_little_is_preprocessed():
 
 def test_the_text_and_the_figure(study, tmp_path):
     splits, learnt = study
-    table = cascade_table(splits, learnt, thresholds_px=(10.0,), draws=200, seed=1)
-    never = {**learnt, "prosac": replace(learnt["prosac"], rule=NEVER)}
-    text = cascade_markdown(table, never, PARAMS.tolerance)
-    assert f"| usac | {learnt['usac'].rule.min_support} | {learnt['usac'].rule.min_inlier_ratio:g} |" in text
-    assert "| prosac | - | - |" in text
-    assert "at most 1 % of" in text
+    table = cascade_table(splits, learnt.rule, thresholds_px=(10.0,), draws=200, seed=1)
+    text = cascade_markdown(table, learnt, replace(PARAMS, strict_tolerance=0.04), (10.0, 3.0))
+    assert f"at least {learnt.rule.min_spread} cells of 48 x 48" in text
+    assert f"at least {learnt.rule.min_plausibility:g}; otherwise" in text
+    assert "1 % of the runs (pair, estimator and seed) below 10 px\nand 4 % below 3 px" in text
+    for name in ("usac", "prosac", ALL):
+        share = learnt.outcomes.loc[name, "preprocessed"]
+        assert f"| {name} | {100 * share:.1f} % | 0.0 % |" in text
+    never = cascade_markdown(table, replace(learnt, rule=NEVER), PARAMS, (10.0, 3.0))
+    assert "every pair is preprocessed." in never
+    assert "1000000" not in never
     assert "## Test pairs below 10 px: all families (120 pairs)" in text
     row = next(line for line in text.splitlines() if line.startswith("| usac") and "[" in line)
     assert " -1.0 [" in row
     for name in "ab":
-        cascade_figure(splits, learnt, PARAMS, 10.0, tmp_path / f"{name}.png")
+        cascade_figure(splits, learnt.rule, PARAMS, 10.0, tmp_path / f"{name}.png")
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
 def test_the_stage_reads_the_runs_of_the_evaluation(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    row = {"pair_id": "a", "scene": "s", "estimator": "usac", "seed": 0, "status": "ok", "support": 9}
+    row = {"pair_id": "a", "scene": "s", "estimator": "usac", "seed": 0, "status": "ok", "support": 9, "spread": 7}
     row |= {"iterations": 1, "error_px": 2.0, "median_error_px": 1.0}
     for family in ("open", "rolled"):
         folder = tmp_path / "data" / "evaluation" / family
@@ -264,13 +301,14 @@ def test_the_stage_reads_the_runs_of_the_evaluation(tmp_path, monkeypatch):
         rows = pd.DataFrame([{"family": family, **row, "input": name} for name in ("standard", "default")])
         rows.to_csv(folder / "results.csv", index=False)
     params = SimpleNamespace(scenes=SimpleNamespace(families=("open", "rolled")))
-    with pytest.raises(ReportError, match="'matches'"):
+    with pytest.raises(ReportError, match="'plausibility'"):
         stage.evaluated_runs(params)
     for path in tmp_path.glob("data/evaluation/*/results.csv"):
-        pd.read_csv(path).assign(matches=12).to_csv(path, index=False)
+        pd.read_csv(path).assign(plausibility=0.5).to_csv(path, index=False)
     runs = stage.evaluated_runs(params)
     assert runs["family"].to_list() == ["open", "rolled"]
-    assert runs["matches"].to_list() == [12, 12]
+    assert runs["plausibility"].to_list() == [0.5, 0.5]
+    assert runs["spread"].to_list() == [7, 7]
 
 
 def test_rows_of_validation_pairs_are_those_of_the_evaluation(monkeypatch):

@@ -103,7 +103,8 @@ def test_rows_of_a_pair(pairs, hand_overs, tiny_model, tmp_path):
     distances = sampson_distance(estimate.F, *pair.control_points())
     assert row["error_px"] == pytest.approx(distances.mean(), rel=1e-12)
     assert row["median_error_px"] == pytest.approx(np.median(distances), rel=1e-12)
-    assert row["support"] == estimate.support
+    assert (row["support"], row["spread"]) == (estimate.support, estimate.spread)
+    assert row["plausibility"] == estimate.plausibility > 0.5
 
     got.write(tmp_path / "out")
     table = pd.read_csv(tmp_path / "out" / "results.csv")

@@ -16,7 +16,7 @@ from synthetic_photographs import APART, INPUTS, PAIRS, SEEDS, SETS, write_photo
 
 ROOT = Path(__file__).parents[2]
 PARAMS = load_real_params(ROOT / "benchmarks" / "real" / "params.yaml")
-RULES = dict.fromkeys(INPUTS, CascadeRule(min_support=100, min_inlier_ratio=0.5))
+RULE = CascadeRule(min_spread=60, min_plausibility=0.95)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def photographs(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def made(photographs, params):
-    return report.make_tables(photographs, RULES, params)
+    return report.make_tables(photographs, RULE, params)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +172,8 @@ def test_a_cascade_takes_one_run_or_the_other(photographs, made):
     rows = rows_of(photographs, "hard")
     rows = rows[rows["estimator"] == "usac"].assign(error=lambda t: t["error_px"].fillna(np.inf))
     wide = {name: part.set_index(["pair", "seed"]) for name, part in rows.groupby("input")}
-    # Made-up runs have 120 inliers of 200: the rule keeps whatever is ok, so that nothing is there to fall back on.
+    # Made-up runs have a spread of 60 and a plausibility of 0.97: the rule keeps whatever is ok, so that nothing is
+    # there to fall back on.
     kept = wide["standard"]["status"] == "ok"
     error = wide["standard"]["error"].where(kept, wide["default"]["error"])
     row = table.loc[("hard", "usac", 10.0)]
@@ -287,7 +288,7 @@ def test_pages_are_whole_and_the_committed_one_shows_no_photograph(out, cases):
 
 
 def test_the_same_results_give_the_same_bytes(photographs, params, cases, made, out, tmp_path):
-    again = report.make_tables(photographs, RULES, params)
+    again = report.make_tables(photographs, RULE, params)
     report.write_report(photographs, again, cases, tmp_path / "real", params, gallery=tmp_path / "gallery")
     for path in sorted((tmp_path / "real").rglob("*")):
         if path.is_file():

@@ -24,7 +24,7 @@ Mode = Annotated[
     mode.Mode | None,
     typer.Option(
         help="'preprocess': matches are ranked by probability first (the default). 'standard': the paper's standard "
-        "matches. 'cascade': standard matches first; ranked ones only if support or share of inliers is low.",
+        "matches. 'cascade': standard matches first; ranked ones only if inliers cover little or F is implausible.",
         show_default=False,
     ),
 ]

@@ -15,6 +15,7 @@ from epiprior.estimators.verdict import judge
 from epiprior.geometry import MIN_MATCHES, as_points, normalise_fundamental, sampson_distance
 from epiprior.plausibility import known_plausibility
 from epiprior.selection import first_of_equal
+from epiprior.spread import spread_of
 from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
 
 _REGISTRY: dict[str, Estimator] = {
@@ -182,6 +183,7 @@ def run(
         roll_deg=matches.roll_deg,
         message=message,
         seconds={"estimator": found.seconds},
+        spread=spread_of(matches.x1[inliers], matches.x2[inliers]),
         plausibility=known_plausibility(found.F, matches.image_sizes),
     )
 

@@ -64,7 +64,8 @@ def photograph_rows(
     Returns
     -------
     list of dict
-        ``estimator, input, seed, status, support`` out of so many ``matches``, ``iterations``, and the measures of
+        ``estimator, input, seed, status, support`` out of so many ``matches``, ``spread, plausibility``,
+        ``iterations``, and the measures of
         `measured`.
 
     Raises
@@ -82,6 +83,7 @@ def photograph_rows(
         for seed in different:
             estimate = run_estimator(sets, pair, estimator=estimator, name=name, seed=seed, how=hand_overs[name])
             about = {"status": str(estimate.status), "support": estimate.support, "matches": len(estimate.x1)}
+            about |= {"spread": estimate.spread, "plausibility": estimate.plausibility}
             about |= {"iterations": estimate.iterations}
             threshold_px = hand_overs[name].threshold_px * max(sets.pixel_factors)
             found.append(about | measured(estimate, pair, truth, measures, threshold_px=threshold_px))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from epiprior.cascade import CascadeRule
-from epiprior_lab.cascade_rule import LearntRule, paired_runs
+from epiprior_lab.cascade_rule import paired_runs
 from epiprior_lab.photographs.bounds import bounds_table
 from epiprior_lab.photographs.figures import draw_figures
 from epiprior_lab.photographs.gallery import Case
@@ -34,7 +34,7 @@ from epiprior_lab.reports.tables import estimator_table
 from epiprior_lab.reports.verdicts import verdict_figure, verdict_markdown
 
 
-def make_tables(photographs: Photographs, rules: Mapping[str, CascadeRule], params: RealReportParams) -> Tables:
+def make_tables(photographs: Photographs, rule: CascadeRule, params: RealReportParams) -> Tables:
     """Compute all tables but that of every pair."""
     draws, seed = params.bootstrap_draws, params.seed
     successes = success_table(photographs, thresholds_px=params.thresholds_px, draws=draws, seed=seed)
@@ -49,7 +49,7 @@ def make_tables(photographs: Photographs, rules: Mapping[str, CascadeRule], para
         geometry=geometry_table(photographs, pose_deg=params.pose_deg, recall_at=params.distance_recall),
         rankings=rankings,
         calibration=calibration_table(photographs),
-        cascade=real_cascade_table(photographs, rules, params),
+        cascade=real_cascade_table(photographs, rule, params),
         estimators=_estimators(photographs),
         verdicts=group_verdicts(photographs, params.success_px),
     )
@@ -62,25 +62,17 @@ def _estimators(photographs: Photographs) -> pd.DataFrame:
     return table.assign(hypotheses=counts.reindex(table["estimator"]).to_numpy(np.float64))
 
 
-def real_cascade_table(
-    photographs: Photographs, rules: Mapping[str, CascadeRule], params: RealReportParams
-) -> pd.DataFrame:
-    """Return what the rules that were learnt on rendered scenes do on photographs, by split and over all.
+def real_cascade_table(photographs: Photographs, rule: CascadeRule, params: RealReportParams) -> pd.DataFrame:
+    """Return what the rule that was learnt on rendered scenes does on photographs, by split and over all.
 
     Nothing is run again: a cascade takes one run or the other of the same pair and seed.
     """
     table = photographs.results[photographs.results["pair"].isin(photographs.counted)]
     groups = pd.Categorical(table["split"], [*SPLITS, *sorted(set(table["split"]) - set(SPLITS))])
     table = table.assign(family=table["split"], pair_id=table["pair"], order=groups).sort_values("order", kind="stable")
-    learnt = {
-        name: LearntRule(
-            rule=rules[name], preprocessed=np.nan, lost=np.nan, held_out_preprocessed=np.nan, held_out_lost=np.nan
-        )
-        for name in photographs.estimators
-    }
     runs = {"photographs": paired_runs(table)}
     thresholds = [threshold for threshold in params.thresholds_px if threshold >= 3]
-    found = cascade_table(runs, learnt, thresholds_px=thresholds, draws=params.bootstrap_draws, seed=params.seed)
+    found = cascade_table(runs, rule, thresholds_px=thresholds, draws=params.bootstrap_draws, seed=params.seed)
     return found.drop(columns="split").rename(columns={"family": "group"})
 
 

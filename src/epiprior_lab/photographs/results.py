@@ -20,8 +20,8 @@ OURS = "default"
 _NAMES = ("set", "pair_id", "scene")
 COLUMNS = {
     "pairs": "set pair_id scene labels points split standard_matches right_share",
-    "results": "set pair_id scene estimator input seed status support matches iterations error_px median_error_px "
-    "distance rotation_deg translation_deg",
+    "results": "set pair_id scene estimator input seed status support matches spread plausibility "
+    "iterations error_px median_error_px distance rotation_deg translation_deg",
     "rankings": "set pair_id scene ranking matches right precision_10 precision_100 precision_500 average_precision",
     "ranking_curves": "set pair_id scene ranking rank right",
     "calibration": "set pair_id scene preset bin count right probability squared_error",

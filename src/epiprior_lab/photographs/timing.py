@@ -6,7 +6,7 @@ Wall times of one process on a few pairs of each set; nothing else reads them.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ def measure_pair(
     pair: Pair,
     inputs: EstimatorInputs,
     hand_overs: HandOvers,
-    rules: Mapping[str, CascadeRule],
+    rule: CascadeRule,
     seeds: Sequence[int],
 ) -> list[Row]:
     """Time one pair.
@@ -43,8 +43,8 @@ def measure_pair(
         For each estimator the inputs that it gets; those of peers and `snn` are left out.
     hand_overs : mapping
         ``hand_overs[estimator][input]``.
-    rules : mapping of str to CascadeRule
-        Of the cascade, per estimator.
+    rule : CascadeRule
+        Of the cascade.
     seeds : sequence of int
         One run each.
 
@@ -78,7 +78,7 @@ def measure_pair(
             start = time.perf_counter()
             run_estimator(ours, pair, estimator=estimator, name=OURS, seed=seed, how=hand_overs[estimator][OURS])
             after = ranking + time.perf_counter() - start
-            kept = rules[estimator].keeps(first)
+            kept = rule.keeps(first)
             row: Row = {"pair_id": pair.pair_id, "scene": pair.scene, "estimator": estimator, "seed": seed}
             row |= {"seconds_without": before, "seconds_with": after}
             row |= {"seconds_cascade": before if kept else before + after - shared, "preprocessed": not kept}

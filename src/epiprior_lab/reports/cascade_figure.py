@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from epiprior_lab.cascade_rule import LearntRule, kept_runs, lost_runs, trade_off
+from epiprior.cascade import CascadeRule
+from epiprior_lab.cascade_rule import kept_runs, lost_runs, trade_off
 from epiprior_lab.params import CascadeParams
+from epiprior_lab.reports.study import order_of
 from epiprior_lab.reports.style import MUTED, Look, save, styled
 
 LOOKS: Mapping[str, Look] = {
@@ -21,7 +23,7 @@ _COLUMNS = 4
 
 def cascade_figure(
     runs: Mapping[str, pd.DataFrame],
-    learnt: Mapping[str, LearntRule],
+    rule: CascadeRule,
     params: CascadeParams,
     threshold_px: float,
     path: Path,
@@ -32,8 +34,8 @@ def cascade_figure(
     ----------
     runs : mapping of str to DataFrame
         For each split the runs of all estimators, as from `cascade_rule.paired_runs`.
-    learnt : mapping of str to LearntRule
-        The chosen rules, which are marked.
+    rule : CascadeRule
+        The chosen one, which is marked.
     params : CascadeParams
         Candidates and tolerance.
     threshold_px : float
@@ -41,11 +43,12 @@ def cascade_figure(
     path : Path
         PNG file.
     """
-    columns = min(_COLUMNS, len(learnt))
-    rows = -(-len(learnt) // columns)
+    estimators = order_of(next(iter(runs.values()))["estimator"])
+    columns = min(_COLUMNS, len(estimators))
+    rows = -(-len(estimators) // columns)
     with styled(rows, columns, (2.6 * columns, 2.2 * rows + 0.6), sharex=True, sharey=True) as (figure, axes):
         panels = [axis for row in axes for axis in row]
-        for axis, (estimator, found) in zip(panels, learnt.items(), strict=False):
+        for axis, estimator in zip(panels, estimators, strict=False):
             for split, table in runs.items():
                 part, look = table[table["estimator"] == estimator], LOOKS[split]
                 front = trade_off(part, params, threshold_px)
@@ -54,7 +57,7 @@ def cascade_figure(
                     100 * np.append(1.0, share), 100 * np.append(loss[0], loss), color=look.colour, ls=look.line,
                     lw=1.4, drawstyle="steps-pre",
                 )  # fmt: skip
-                kept = kept_runs(part, [found.rule])
+                kept = kept_runs(part, [rule])
                 lost = float(lost_runs(part, kept, threshold_px).mean())
                 axis.plot(
                     100 * (1 - np.mean(kept)), 100 * lost, look.marker, color=look.colour, ms=7, mec="white",
@@ -62,7 +65,7 @@ def cascade_figure(
                 )  # fmt: skip
             axis.axhline(100 * params.tolerance, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
             axis.set(title=estimator, xlim=(0, 100))
-        for axis in panels[len(learnt) :]:
+        for axis in panels[len(estimators) :]:
             axis.set_visible(False)
         for row in axes:
             row[0].set_ylabel("runs lost, %")

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from epiprior.cascade import CascadeRule
 from epiprior.types import BoolArray
-from epiprior_lab.cascade_rule import NEVER, PREPROCESSED, LearntRule, cascade_errors, kept_runs
+from epiprior_lab.cascade_rule import ALL, NEVER, PREPROCESSED, LearntRule, cascade_errors, kept_runs
+from epiprior_lab.params import CascadeParams
 from epiprior_lab.reports.study import order_of
 from epiprior_lab.seeds import child_seed
 from epiprior_lab.statistics import paired_bootstrap
 
-ALL = "all"
-
 
 def cascade_table(
     runs: Mapping[str, pd.DataFrame],
-    learnt: Mapping[str, LearntRule],
+    rule: CascadeRule,
     *,
     thresholds_px: Sequence[float],
     draws: int,
@@ -31,8 +31,8 @@ def cascade_table(
     ----------
     runs : mapping of str to DataFrame
         For each split the runs of all estimators, as from `cascade_rule.paired_runs`.
-    learnt : mapping of str to LearntRule
-        Per estimator.
+    rule : CascadeRule
+        Of the cascade.
     thresholds_px : sequence of float
         Of success, pixels.
     draws, seed : int
@@ -48,11 +48,11 @@ def cascade_table(
     """
     rows = []
     for split, table in runs.items():
-        for estimator, found in learnt.items():
+        for estimator in order_of(table["estimator"]):
             for family in (*order_of(table["family"]), ALL):
                 part = table[table["estimator"] == estimator]
                 part = (part if family == ALL else part[part["family"] == family]).reset_index(drop=True)
-                (kept,) = kept_runs(part, [found.rule])
+                (kept,) = kept_runs(part, [rule])
                 for threshold in thresholds_px:
                     child = child_seed(seed, "cascade", split, estimator, family, str(threshold))
                     rows.append(
@@ -61,8 +61,8 @@ def cascade_table(
                             "estimator": estimator,
                             "family": family,
                             "threshold_px": threshold,
-                            "min_support": found.rule.min_support,
-                            "min_inlier_ratio": found.rule.min_inlier_ratio,
+                            "min_spread": rule.min_spread,
+                            "min_plausibility": rule.min_plausibility,
                             **_cells(part, kept, threshold, draws, child),
                         }
                     )
@@ -118,25 +118,27 @@ def cascade_seconds(overhead: pd.DataFrame, cascade: pd.DataFrame) -> pd.DataFra
     return table[[*keys, "seconds_without", "seconds_always", "seconds_cascade", "saved"]]
 
 
-def cascade_markdown(table: pd.DataFrame, learnt: Mapping[str, LearntRule], tolerance: float) -> str:
-    """Return the table for a reader: the rules, then the test pairs."""
+def cascade_markdown(
+    table: pd.DataFrame, learnt: LearntRule, params: CascadeParams, thresholds_px: tuple[float, float]
+) -> str:
+    """Return the tables for a reader: the rule on the runs it was learnt from, then the test pairs."""
+    success_px, strict_px = thresholds_px
     lines = [
         "# The cascade: preprocessing only where it is needed",
         "",
-        "The estimator runs on matches without preprocessing first. Its answer is kept if it has an F, and that F",
-        "at least so much support and such a share of inliers; otherwise the pair is preprocessed. The rule of each",
-        f"estimator is chosen on validation scenes: it preprocesses least and loses at most {100 * tolerance:g} % of",
-        "the runs (pair and seed) against always preprocessing. Held out: each scene under the rule that the other",
-        "scenes would have chosen.",
+        f"The estimator runs on matches without preprocessing first. {_rule_in_words(learnt.rule)}",
+        "One rule serves all estimators, chosen on validation scenes: it preprocesses least and loses, against",
+        "always preprocessing, at most",
+        f"{100 * params.tolerance:g} % of the runs (pair, estimator and seed) below {success_px:g} px",
+        f"and {100 * params.strict_tolerance:g} % below {strict_px:g} px. Held out: each scene under the rule that",
+        f"the other scenes would have chosen. Lost: below {success_px:g} px.",
         "",
-        "| estimator | least support | least share | preprocessed | lost | preprocessed, held out | lost, held out |",
-        "|---|---:|---:|---:|---:|---:|---:|",
+        "| estimator | preprocessed | lost | preprocessed, held out | lost, held out |",
+        "|---|---:|---:|---:|---:|",
     ]
-    for name, found in learnt.items():
-        rule = found.rule
-        cells = ("-", "-") if rule == NEVER else (f"{rule.min_support}", f"{rule.min_inlier_ratio:g}")
-        shares = (found.preprocessed, found.lost, found.held_out_preprocessed, found.held_out_lost)
-        lines.append(f"| {' | '.join((name, *cells, *(f'{100 * share:.1f} %' for share in shares)))} |")
+    columns = ("preprocessed", "lost", "held_out_preprocessed", "held_out_lost")
+    for name, row in learnt.outcomes.iterrows():
+        lines.append(f"| {' | '.join((str(name), *(f'{100 * row[column]:.1f} %' for column in columns)))} |")
     lines += [
         "",
         "Successes are numbers of pairs, mean over seeds. The change is of the cascade against always preprocessing,",
@@ -149,6 +151,16 @@ def cascade_markdown(table: pd.DataFrame, learnt: Mapping[str, LearntRule], tole
             lines += ["", f"## Test pairs below {threshold:g} px: {title} ({part['pairs'].max()} pairs)", ""]
             lines += _markdown_rows(part)
     return "\n".join(lines) + "\n"
+
+
+def _rule_in_words(rule: CascadeRule) -> str:
+    if rule == NEVER:
+        return "No rule kept to what is tolerated:\nevery pair is preprocessed."
+    return (
+        f"Its answer is kept if it has an F whose inliers lie in\nat least {rule.min_spread} cells of 48 x 48 pixels "
+        "of each image and whose plausibility (`epiprior.plausibility`) is\n"
+        f"at least {rule.min_plausibility:g}; otherwise the pair is preprocessed."
+    )
 
 
 def _markdown_rows(part: pd.DataFrame) -> list[str]:

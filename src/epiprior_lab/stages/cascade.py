@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from epiprior.cascade import save_cascade_rules
+from epiprior.cascade import save_cascade_rule
 from epiprior.handover import load_hand_overs
 from epiprior_lab.cascade_rule import PREPROCESSED, learn_rule, paired_runs, validation_rows
 from epiprior_lab.evaluation import study_pairs
@@ -46,7 +46,7 @@ def validation_runs(params: Params) -> pd.DataFrame:
 def evaluated_runs(params: Params) -> pd.DataFrame:
     """Return the runs of the evaluation on test pairs."""
     tables = (
-        read_table(Path("data/evaluation") / family / "results.csv", f"{COLUMNS['results']} matches")
+        read_table(Path("data/evaluation") / family / "results.csv", f"{COLUMNS['results']} spread plausibility")
         for family in params.scenes.families
     )
     return paired_runs(pd.concat(tables, ignore_index=True))
@@ -57,19 +57,16 @@ def main() -> None:
     params = load_params()
     thresholds = (params.report.success_px, params.report.strict_px)
     validation = validation_runs(params)
-    learnt = {
-        estimator: learn_rule(validation[validation["estimator"] == estimator], params.cascade, thresholds)
-        for estimator in params.evaluate.estimators
-    }
-    save_cascade_rules(Path("models/cascade.json"), {name: found.rule for name, found in learnt.items()})
+    learnt = learn_rule(validation, params.cascade, success_px=thresholds[0], strict_px=thresholds[1])
+    save_cascade_rule(Path("models/cascade.json"), learnt.rule)
     runs = {"validation": validation, "test": evaluated_runs(params)}
     table = cascade_table(
-        runs, learnt, thresholds_px=thresholds, draws=params.report.bootstrap_draws, seed=params.report.seed
+        runs, learnt.rule, thresholds_px=thresholds, draws=params.report.bootstrap_draws, seed=params.report.seed
     )
     write_table(table, OUT / "cascade.csv")
-    text = cascade_markdown(table, learnt, params.cascade.tolerance)
+    text = cascade_markdown(table, learnt, params.cascade, thresholds)
     (OUT / "cascade.md").write_text(text, encoding="utf-8", newline="\n")
-    cascade_figure(runs, learnt, params.cascade, params.report.success_px, OUT / "cascade.png")
+    cascade_figure(runs, learnt.rule, params.cascade, params.report.success_px, OUT / "cascade.png")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import track
 
-from epiprior.cascade import load_cascade_rules
+from epiprior.cascade import load_cascade_rule
 from epiprior_lab.datasets import Pair, read_pair_set
 from epiprior_lab.photographs.params import load_real_params
 from epiprior_lab.photographs.tables import write_real_table
@@ -21,7 +21,7 @@ OUT = Path("reports/real/timings")
 def main() -> None:
     """Write ``reports/real/timings/{pairs,overhead,bounds}.csv``."""
     params = load_real_params()
-    timing, rules = params.timing, load_cascade_rules(Path("models/cascade.json"))
+    timing, rule = params.timing, load_cascade_rule(Path("models/cascade.json"))
     inputs, hand_overs = params.evaluate.inputs_by_estimator, real_hand_overs(params)
     pairs = [
         (name, pair)
@@ -30,9 +30,9 @@ def main() -> None:
         for pair in _spread(read_pair_set(Path("data/real") / name).pairs, timing.pairs_per_set)
     ]
     rows = []
-    measure_pair(pairs[0][1], inputs, hand_overs, rules, timing.seeds[:1])  # compiles kernels, loads models
+    measure_pair(pairs[0][1], inputs, hand_overs, rule, timing.seeds[:1])  # compiles kernels, loads models
     for name, pair in track(pairs, description="overhead", console=Console(stderr=True)):
-        rows += [{"set": name, **row} for row in measure_pair(pair, inputs, hand_overs, rules, timing.seeds)]
+        rows += [{"set": name, **row} for row in measure_pair(pair, inputs, hand_overs, rule, timing.seeds)]
     timings = pd.DataFrame(rows)
     overhead = overhead_table(timings)
     write_real_table(timings, OUT / "pairs.csv")

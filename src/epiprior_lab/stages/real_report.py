@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from epiprior.cascade import load_cascade_rules
+from epiprior.cascade import load_cascade_rule
 from epiprior_lab.datasets import read_pair_set
 from epiprior_lab.parallel import single_threaded
 from epiprior_lab.photographs.gallery import choose_cases, draw_cases
@@ -31,7 +31,7 @@ def main() -> None:
         for pair in read_pair_set(Path("data/real") / name).pairs
     }
     with single_threaded():
-        tables = make_tables(photographs, load_cascade_rules(Path("models/cascade.json")), report)
+        tables = make_tables(photographs, load_cascade_rule(Path("models/cascade.json")), report)
         draw_cases(
             cases,
             pairs,
