@@ -17,7 +17,9 @@ from epiprior.io.output import replacing
 from pictures import save, texture
 from synthetic import make_matches, make_pair, rotation, skew
 
-COLUMNS = [f for f in make_pair().matches.__dataclass_fields__ if f not in ("roll_deg", "rough_matrices", "image_sizes")]
+COLUMNS = [
+    f for f in make_pair().matches.__dataclass_fields__ if f not in ("roll_deg", "rough_matrices", "image_sizes")
+]
 
 
 def two_sets():
