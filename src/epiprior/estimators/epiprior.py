@@ -52,7 +52,8 @@ class EpipriorEstimator:
     Deterministic: the seed changes nothing.
 
     Every choice among refined hypotheses follows one score: what the matches say, each part of the images once
-    (`epiprior.estimators.epiprior_evidence`), times the plausibility of the cameras (`epiprior.plausibility`).
+    (`epiprior.estimators.epiprior_evidence`), times the plausibility of the cameras (`epiprior.plausibility`). Local
+    optimisation of one hypothesis climbs its first factor alone.
     """
 
     name: str = "epiprior"
