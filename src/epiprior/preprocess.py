@@ -21,6 +21,7 @@ from epiprior.presets import PreprocessSettings, find_preset
 from epiprior.probabilities import MatchTable
 from epiprior.stopwatch import Stopwatch
 from epiprior.types import Features, FloatArray, MatchSet, RankedMatches
+from epiprior.votes import add_votes
 
 
 def rank_matches(
@@ -65,7 +66,7 @@ def rank_matches(
     Paper, algorithm 1, lines 2 to 16.
     """
     settings = settings or find_preset(preset)
-    announce_compilation()
+    announce_compilation(add_votes, "the preprocessing", "about half a minute")
     model = model or load_model(settings.name)
     watch = Stopwatch()
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, watch=watch)

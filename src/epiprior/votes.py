@@ -143,7 +143,7 @@ def _moments(p1, p2):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"})
-def _count_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no-untyped-def]
+def add_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no-untyped-def]
     """Add, per match, the matrices within the limit and their weights, in the order of the matrices.
 
     All matches of the part meet one matrix at a time: the inner loop is over independent sums, which a processor takes
@@ -211,7 +211,7 @@ def count_votes(
 
     def work(first: int) -> None:
         part = slice(first, first + _CHUNK)
-        _count_votes(columns, w, p1[part], p2[part], np.float32(threshold**2), votes[part], weighted[part])
+        add_votes(columns, w, p1[part], p2[part], np.float32(threshold**2), votes[part], weighted[part])
 
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         list(pool.map(work, range(0, len(x1), _CHUNK)))
