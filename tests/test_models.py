@@ -177,7 +177,7 @@ def test_a_changed_byte_is_found(folder, name):
         load_model(folder)
 
 
-@pytest.mark.parametrize("text", ["", "{", "\x00\xff", "[]", "{}", '"schema_version"'])
+@pytest.mark.parametrize("text", ["", "{", "\x00\xff", "[]", "{}", '"schema_version"', 100_000 * "["])
 def test_a_manifest_that_is_none_is_refused(folder, text):
     (folder / "manifest.json").write_text(text, encoding="latin-1")
     with pytest.raises(ModelError, match=r"manifest.json"):

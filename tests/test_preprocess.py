@@ -9,7 +9,7 @@ import pytest
 
 import epiprior
 from epiprior import hypothesis, pair
-from epiprior.errors import FeatureError, ImageError, SettingsError
+from epiprior.errors import FeatureError, ImageError, ModelError, SettingsError
 from epiprior.features import FeatureSettings, detect_features, load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.models import load_model
@@ -115,9 +115,16 @@ def test_features_that_do_not_fit_are_named(model):
         epiprior.rank_matches(left[:100], right, features1=own, model=model)
     with pytest.raises(ImageError, match="image 2 is None"):
         epiprior.rank_matches(left, None, model=model)
+    with pytest.raises(FeatureError, match="image 2 are dict"):
+        epiprior.rank_matches(left, right, features2={}, model=model)
     short = replace(own, descriptors=own.descriptors[:, :64])
     with pytest.raises(FeatureError, match="64"):
         epiprior.rank_matches(left, right, features1=short, model=model)
+
+
+def test_a_model_of_another_preset_is_named(model):
+    with pytest.raises(ModelError, match=r"model default: two_keypoint asks for .*preset paper .*: scale_change_diff"):
+        epiprior.rank_matches(*relief_pair(), preset="paper", model=model)
 
 
 @pytest.mark.parametrize("blank", [np.zeros((300, 300), np.uint8), np.zeros((10, 10), np.uint8)])
