@@ -4,7 +4,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help repro real peers test lint format ui check-lock lock wheel clean
+.PHONY: help repro real peers test test-lowest lint format ui check-lock lock wheel clean
 
 find-python = for python in python3.11 python3.12 python3.13 python3 python; do \
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && echo "$$python" && break; done
@@ -16,6 +16,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/package.stamp
 PEERS := $(VENV)/peers/requirements.stamp
+LOWEST := $(VENV)/lowest/requirements.stamp
 
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 export DVC_NO_ANALYTICS := 1
@@ -51,6 +52,10 @@ peers: $(PEERS)  ## make the environment of AdaLAM and GMS, against which photog
 test: $(READY)  ## run all tests
 	$(BIN)/python -m pytest
 
+test-lowest: $(LOWEST)  ## run the library's tests with the lowest versions that pyproject.toml allows
+	PATH="$(CURDIR)/$(VENV)/lowest/bin:$$PATH" NUMBA_CACHE_DIR="$(CURDIR)/$(VENV)/lowest/numba" \
+		$(VENV)/lowest/bin/python -m pytest tests --ignore=tests/lab
+
 lint: $(READY)  ## check format, rules and types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -66,12 +71,14 @@ check-lock: $(READY)  ## check that dvc.lock belongs to this code, these paramet
 ui: $(READY)  ## open MLflow's page on http://127.0.0.1:$(PORT)
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///mlflow.db --host 127.0.0.1 --port $(PORT) --workers 1
 
-lock:  ## write requirements.lock anew from pyproject.toml (pins stay where they fit; LOCK_FLAGS=--upgrade moves them)
+lock:  ## write both locks anew from pyproject.toml (pins stay where they fit; LOCK_FLAGS=--upgrade moves them)
 	@$(check-python)
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && $(PYTHON) -m venv "$$folder" \
 		&& "$$folder/bin/python" -m pip install --quiet uv \
-		&& "$$folder/bin/uv" pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header \
-			--extra dev --output-file requirements.lock $(LOCK_FLAGS) pyproject.toml
+		&& set -- pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --extra dev \
+		&& "$$folder/bin/uv" "$$@" --output-file requirements.lock $(LOCK_FLAGS) pyproject.toml \
+		&& "$$folder/bin/uv" "$$@" --resolution lowest-direct --output-file requirements-lowest.lock $(LOCK_FLAGS) \
+			pyproject.toml
 
 wheel: $(READY)  ## build the wheel, with the models in it, into dist/
 	$(BIN)/python -m pip wheel --no-deps --no-build-isolation --wheel-dir dist .
@@ -98,6 +105,13 @@ $(PEERS): $(VENV)/lock.stamp benchmarks/real/peers/requirements.txt
 	@"$(PYTHON)" -m venv --clear $(VENV)/peers
 	@$(VENV)/peers/bin/python -m pip install --quiet --no-compile -r benchmarks/real/peers/requirements.txt || { \
 		echo "without it: set 'peers: null' in benchmarks/real/params.yaml and run 'make real PEERS='" >&2; exit 1; }
+	@touch $@
+
+$(LOWEST): $(VENV)/lock.stamp requirements-lowest.lock pyproject.toml
+	@echo "Making $(VENV)/lowest, with the lowest versions of pyproject.toml: a few minutes"
+	@"$(PYTHON)" -m venv --clear $(VENV)/lowest
+	@$(VENV)/lowest/bin/python -m pip install --quiet --no-compile --require-hashes -r requirements-lowest.lock
+	@$(VENV)/lowest/bin/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
 $(READY): $(VENV)/lock.stamp pyproject.toml

@@ -372,6 +372,9 @@ def photographs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("photographs")
     left, right = relief_pair(360, 270)
     (folder / "text.jpg").write_text("not a picture")
+    (folder / "folder.jpg").mkdir()
+    whole = save(folder / "whole.png", left).read_bytes()
+    (folder / "cut.png").write_bytes(whole[:20])
     return {
         "left": save(folder / "left.png", left),
         "right": save(folder / "right.png", right),
@@ -379,6 +382,10 @@ def photographs(tmp_path_factory):
         "tiny": save(folder / "tiny.png", texture(10, 10)),
         "text": folder / "text.jpg",
         "missing": folder / "missing.jpg",
+        "folder": folder / "folder.jpg",
+        "cut": folder / "cut.png",
+        "long": folder / f"{'x' * 300}.jpg",
+        "narrow": save(folder / "narrow.png", texture(1, 300)),
     }
 
 
@@ -408,6 +415,9 @@ def test_the_same_seed_gives_the_same_json(with_model, photographs):
 BAD = [
     ("left", "missing", 2, "missing.jpg"),
     ("text", "right", 2, "text.jpg"),
+    ("folder", "right", 2, "folder.jpg: is a folder"),
+    ("left", "long", 2, "xxxx.jpg"),
+    ("narrow", "right", 1, "too_few_matches"),
     ("black", "right", 1, "too_few_matches"),
     ("left", "tiny", 1, "too_few_matches"),
     ("left", "left", 1, "degenerate"),
@@ -452,6 +462,21 @@ def test_unknown_names(with_model, photographs):
     both = run("estimate", *pair, "--mode", "cascade", "--no-preprocess")
     assert both.exit_code == 2
     assert "mode is 'cascade', but preprocess is False" in one_line(both)
+
+
+def test_what_is_not_installed(with_model, photographs, tmp_path, monkeypatch):
+    for package in ("poselib", "pycolmap"):
+        monkeypatch.setitem(sys.modules, package, None)
+    pair = (photographs["left"], photographs["right"])
+    for arguments, words in (
+        (["estimate", *pair, "--estimator", "prosac"], 'prosac is not installed: pip install "epiprior[poselib]"'),
+        (["draw", *pair, "--estimator", "prosac", "--out", tmp_path / "f.png"], "prosac is not installed"),
+        (["colmap", *pair, "--database", tmp_path / "new.db"], "needs pycolmap: pip install 'pycolmap>=4,<5'"),
+    ):
+        result = run("--quiet", *arguments)
+        assert result.exit_code == 2
+        assert words in one_line(result)
+    assert not list(tmp_path.iterdir())
 
 
 def test_match_writes_probabilities(with_model, photographs, tmp_path):
@@ -500,6 +525,7 @@ def test_exit_codes_of_the_real_program(photographs, tmp_path):
     assert same.stderr.startswith("epiprior: no fundamental matrix: degenerate")
     for arguments in (
         ("estimate", photographs["missing"], photographs["left"], "--no-preprocess"),
+        ("estimate", photographs["cut"], photographs["left"], "--no-preprocess"),  # of which OpenCV warns as well
         ("info", tmp_path),
         ("match", photographs["left"], photographs["right"], "--out", tmp_path / "no" / "m.csv"),
     ):

@@ -43,14 +43,26 @@ def matches_of(scene: str) -> MatchSet:
     return snn_matches(photograph(first, 0), photograph(second, 1))
 
 
-@pytest.mark.parametrize("scene", ["plane", "rotation"])
 @pytest.mark.parametrize("name", ["usac", "magsac++", "epiprior"])
-def test_a_photographed_plane_decides_nothing(name, scene):
-    matches = matches_of(scene)
-    assert len(matches) > 100
-    estimate = run(name, matches)
+def test_a_turning_camera_decides_nothing(name):
+    estimate = run(name, matches_of("rotation"))
     assert estimate.status is Status.DEGENERATE
     assert "homography" in estimate.message
+
+
+@pytest.mark.parametrize(("name", "seeds"), [("usac", 20), ("magsac++", 20), ("epiprior", 1)])
+def test_a_photographed_plane_decides_nothing(name, seeds):
+    """Where chance puts a third wrong match on the epipolar lines of two others, F passes for decided.
+
+    `epiprior.degeneracy.why_degenerate` tells how often. Here it is half of the seeds with OpenCV 5, less with 4.13:
+    one seed would be a lottery.
+    """
+    matches = matches_of("plane")
+    assert len(matches) > 100
+    estimates = [run(name, matches, seed=seed) for seed in range(seeds)]
+    seen = [estimate for estimate in estimates if estimate.status is Status.DEGENERATE]
+    assert len(seen) >= 0.4 * seeds
+    assert all("homography" in estimate.message for estimate in seen)
 
 
 @pytest.mark.parametrize("name", ["usac", "magsac++", "epiprior"])

@@ -55,6 +55,20 @@ def test_scores_are_those_of_the_naive_twin(size):
     assert found.max() > 5
 
 
+def test_nothing_speaks_for_models_that_are_none():
+    m = make_pair(inliers=20, outliers=0).matches
+    evidence = Evidence.of(m.x1, m.x2, m.probability, np.arange(20))
+    assert not evidence.scores(np.stack([np.zeros((3, 3)), np.full((3, 3), np.nan)]), 2.0).any()
+    assert evidence.scores(np.empty((0, 3, 3)), 2.0).shape == (0,)
+
+
+def test_best_matches_that_share_a_point_are_no_error():
+    """Features of several scales at one location: eight of them decide nothing."""
+    pair = make_pair(inliers=60, outliers=0)
+    m = replace(pair.matches, x1=np.vstack([np.repeat(pair.matches.x1[:1], 20, axis=0), pair.matches.x1[20:]]))
+    assert run("epiprior", m).raw_F is not None
+
+
 def test_groups_are_parts_of_both_images():
     x1 = np.array([[10.0, 10.0], [40.0, 40.0], [10.0, 10.0], [60.0, 10.0]])
     x2 = np.array([[10.0, 10.0], [20.0, 30.0], [100.0, 10.0], [10.0, 10.0]])

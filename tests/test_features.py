@@ -210,6 +210,10 @@ def test_twins_are_one_location():
         ("scale", np.ones(3), r"\(3,\)"),
         ("descriptors", np.full((2, 128), np.inf), "descriptors holds"),
         ("orientation_deg", ["a", "b"], "orientation_deg"),
+        ("image_size", (640, 0), r"\(640, 0\)"),
+        ("image_size", (640.0, np.nan), "image_size"),
+        ("image_size", (640, 480, 3), "image_size"),
+        ("image_size", None, "image_size"),
     ],
 )
 def test_bad_features_are_named(field, value, message):

@@ -22,31 +22,51 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 # --- the environment
 
 
-def locked():
-    """Return the blocks of the lock: requirement line and its hashes."""
-    text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+LOCKS = ("requirements.lock", "requirements-lowest.lock")
+
+
+def locked(lock):
+    """Return the blocks of a lock: requirement line and its hashes."""
+    text = (ROOT / lock).read_text(encoding="utf-8")
     blocks = re.split(r"\n(?=[a-z0-9])", text.strip(), flags=re.IGNORECASE)
     return {re.split(r"[=\[ ]", block, maxsplit=1)[0].lower(): block for block in blocks}
 
 
-def test_every_locked_requirement_is_pinned_and_hashed():
-    blocks = locked()
+def declared():
+    """Return the dependencies of the project and of its extras: name and lower bound."""
+    extras = PROJECT["optional-dependencies"]
+    lines = [*PROJECT["dependencies"], *(line for name in extras for line in extras[name])]
+    pairs = [re.match(r"([\w.-]+)>=([\d.]+)", line) for line in lines if not line.startswith("epiprior[")]
+    return {pair[1].lower().replace("_", "-"): pair[2] for pair in pairs}
+
+
+@pytest.mark.parametrize("lock", LOCKS)
+def test_every_locked_requirement_is_pinned_and_hashed(lock):
+    blocks = locked(lock)
     assert len(blocks) > 100
     for name, block in blocks.items():
         assert re.match(r"[\w.-]+(\[[\w,-]+\])?==\S+", block), name
         assert "--hash=sha256:" in block, name
 
 
-def test_the_lock_holds_no_address():
-    text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+@pytest.mark.parametrize("lock", LOCKS)
+def test_the_lock_holds_no_address(lock):
+    text = (ROOT / lock).read_text(encoding="utf-8")
     assert not re.search(r"https?://|--(extra-)?index-url|--find-links|file:", text)
 
 
-def test_the_lock_holds_every_declared_dependency():
-    extras = PROJECT["optional-dependencies"]
-    declared = [*PROJECT["dependencies"], *extras["poselib"], *extras["lab"], *extras["dev"]]
-    names = {re.match(r"[\w.-]+", line)[0].lower().replace("_", "-") for line in declared} - {"epiprior"}
-    assert names <= locked().keys()
+@pytest.mark.parametrize("lock", LOCKS)
+def test_the_lock_holds_every_declared_dependency(lock):
+    assert declared().keys() <= locked(lock).keys()
+
+
+def test_the_lowest_lock_holds_the_lower_bounds():
+    """Write both locks anew by `make lock` after a change of bounds."""
+    blocks = locked("requirements-lowest.lock")
+    for name, bound in declared().items():
+        pinned = re.search(r"==([\d.]+)", blocks[name])[1].split(".")
+        wanted = bound.split(".")
+        assert pinned[: len(wanted)] == wanted, name
 
 
 def test_every_dependency_has_a_lower_bound():

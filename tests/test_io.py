@@ -13,7 +13,7 @@ from epiprior import FeatureError, FundamentalEstimate, ImageError, OutputError,
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior.io import ColmapPair, read_matches, write_colmap_database, write_matches
 from epiprior.io.colmap import fundamental_for_colmap
-from epiprior.io.output import replacing
+from epiprior.io.output import check_output, replacing
 from pictures import save, texture
 from synthetic import make_matches, make_pair, rotation, skew
 
@@ -180,6 +180,12 @@ def test_output_is_a_folder(tmp_path):
     (tmp_path / "m.csv").mkdir()
     with pytest.raises(OutputError, match="is a folder"):
         write_matches(tmp_path / "m.csv", two_sets())
+
+
+def test_a_folder_that_may_not_be_written_to_is_told_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr("epiprior.io.output.os.access", lambda path, mode: False)
+    with pytest.raises(OutputError, match=f"no permission to write to the folder {tmp_path}"):
+        check_output(tmp_path / "m.csv")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])

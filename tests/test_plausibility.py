@@ -78,3 +78,4 @@ def test_without_sizes_nothing_is_known():
     assert (camera_plausibility(models, None) == 1).all()
     assert camera_plausibility(np.empty((0, 3, 3)), SIZES).shape == (0,)
     assert camera_plausibility(np.zeros((1, 3, 3)), SIZES) == [0.0]
+    assert camera_plausibility(1e-160 * models, SIZES).shape == (3,)  # squares that underflow are no error

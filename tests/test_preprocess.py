@@ -1,4 +1,5 @@
 import logging
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -8,12 +9,13 @@ import pytest
 
 import epiprior
 from epiprior import hypothesis, pair
-from epiprior.errors import FeatureError, ImageError, SettingsError
+from epiprior.errors import FeatureError, ImageError, ModelError, SettingsError
 from epiprior.features import FeatureSettings, detect_features, load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.models import load_model
 from epiprior.presets import DEFAULT, PAPER
 from pictures import relief_pair, texture
+from synthetic import make_pair
 from test_features import rotated
 from tiny_model import make_model
 
@@ -113,9 +115,16 @@ def test_features_that_do_not_fit_are_named(model):
         epiprior.rank_matches(left[:100], right, features1=own, model=model)
     with pytest.raises(ImageError, match="image 2 is None"):
         epiprior.rank_matches(left, None, model=model)
+    with pytest.raises(FeatureError, match="image 2 are dict"):
+        epiprior.rank_matches(left, right, features2={}, model=model)
     short = replace(own, descriptors=own.descriptors[:, :64])
     with pytest.raises(FeatureError, match="64"):
         epiprior.rank_matches(left, right, features1=short, model=model)
+
+
+def test_a_model_of_another_preset_is_named(model):
+    with pytest.raises(ModelError, match=r"model default: two_keypoint asks for .*preset paper .*: scale_change_diff"):
+        epiprior.rank_matches(*relief_pair(), preset="paper", model=model)
 
 
 @pytest.mark.parametrize("blank", [np.zeros((300, 300), np.uint8), np.zeros((10, 10), np.uint8)])
@@ -152,22 +161,42 @@ def test_snn_is_mutual_and_ordered():
     assert len({tuple(x) for x in np.column_stack([found.x2, found.orientation2_deg])}) == len(found)
 
 
-def test_compilation_is_announced_once(monkeypatch, caplog):
+def test_compilation_is_announced_once_per_kernel(monkeypatch, caplog):
     from epiprior import compilation
 
     class Fresh:
         signatures = ()
+        py_func = make_pair
 
         class stats:  # noqa: N801
             cache_path = "no such folder"
 
-    monkeypatch.setattr(compilation.votes, "_count_votes", Fresh)
-    monkeypatch.setattr(compilation, "_announced", [])
+    class Compiled(Fresh):
+        signatures = ("float64()",)
+
+    class Broken:
+        signatures = ()
+
+    monkeypatch.setattr(compilation, "_asked", set())
     with caplog.at_level(logging.INFO, logger="epiprior"):
-        compilation.announce_compilation()
-        compilation.announce_compilation()
-    assert [record.message for record in caplog.records].count(caplog.records[0].message) == 1
-    assert "compiling kernels" in caplog.text
+        for _ in range(2):
+            compilation.announce_compilation(Fresh, "this", "a second")
+            compilation.announce_compilation(Compiled, "that", "a second")
+            compilation.announce_compilation(Broken, "those", "a second")
+    line = "compiling kernels of {}: the first call on this machine takes a second"
+    assert [record.message for record in caplog.records] == [line.format("this"), line.format("those")]
+
+
+@pytest.mark.parametrize("name", ["epiprior", "beem", "usac"])
+def test_own_estimators_announce_their_kernels(monkeypatch, name):
+    from epiprior.estimators import epiprior as starting_from_votes
+    from epiprior.estimators import own, run
+
+    said = []
+    for module in (starting_from_votes, own):
+        monkeypatch.setattr(module, "announce_compilation", lambda kernel, *words: said.append(kernel))
+    run(name, make_pair().matches)
+    assert said == {"epiprior": [starting_from_votes.climb], "beem": [own.run_loop], "usac": []}[name]
 
 
 def test_the_cache_of_compiled_kernels_is_recognised(tmp_path):
@@ -175,10 +204,10 @@ def test_the_cache_of_compiled_kernels_is_recognised(tmp_path):
     code = (
         "import logging, numpy as np; logging.basicConfig(level=logging.INFO)\n"
         "from epiprior import compilation, votes\n"
-        "compilation.announce_compilation()\n"
+        "compilation.announce_compilation(votes.add_votes, 'the votes', 'a second')\n"
         "votes.count_votes(np.ones((1, 3, 3)), np.ones((1, 2)), np.ones((1, 2)))"
     )
-    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "PATH": "", "LC_ALL": "C.UTF-8"}
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     said = [
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment).stderr
         for _ in range(2)

@@ -67,6 +67,8 @@ def set_up(
 ) -> None:
     """Show the library's messages, such as that kernels are being compiled, on stderr."""
     del version
+    # OpenCV has lines of its own on damaged pictures; ours names the file. It is imported later, and reads this then.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "FATAL")
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("epiprior: %(message)s"))
     logger = logging.getLogger("epiprior")

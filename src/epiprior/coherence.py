@@ -71,7 +71,7 @@ def coherence(frames: MatchFrames, location1: IntArray, weights: FloatArray) -> 
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _ask(x1, x2, root_scale, turn, weights, of_match, near, near_count, asked, start, out):  # type: ignore[no-untyped-def]
     for m in range(len(x1)):
         agreement = 0.0

@@ -147,9 +147,9 @@ def load_photograph(image: View, max_image_size: int = 1024) -> Photograph:
 
 
 def _read_grey(path: Path) -> NDArray[np.uint8]:
-    if not path.is_file():
-        raise ImageError(f"{path}: no such image file")
     try:
+        if not path.is_file():
+            raise ImageError(f"{path}: is a folder, not an image" if path.is_dir() else f"{path}: no such image file")
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise ImageError(f"{path}: cannot be read: {error.strerror}") from error

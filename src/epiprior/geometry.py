@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from epiprior.errors import FeatureError
-from epiprior.types import FloatArray
+from epiprior.types import Float32Array, FloatArray
 
 MIN_MATCHES = 8
 
@@ -99,6 +99,29 @@ def sampson_distance(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArra
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = np.abs(algebraic) / gradient
     return np.where(gradient > 0, distance, np.inf)
+
+
+def centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray) -> Float32Array:
+    """Return fundamental matrices for points that are centred, as compiled kernels read them in single precision.
+
+    Parameters
+    ----------
+    models : ndarray, shape (K, 3, 3), float64
+        Fundamental matrices for pixels; K = 0 is allowed.
+    centre1, centre2 : ndarray, shape (2,), float64
+        What is subtracted from the points of both images.
+
+    Returns
+    -------
+    ndarray, shape (9, K), float32
+        Row by row, each matrix at a size at which neither its entries nor its residuals leave single precision.
+    """
+    T1, T2 = np.eye(3), np.eye(3)
+    T1[:2, 2], T2[:2, 2] = centre1, centre2
+    G = T2.T @ models @ T1
+    size = np.abs(G).max(axis=(1, 2), keepdims=True)
+    G /= np.abs(G[:, :2, :2]).max(axis=(1, 2), keepdims=True) + size * 1e-9 + 1e-300
+    return np.ascontiguousarray(G.reshape(-1, 9).T, dtype=np.float32)
 
 
 def _conditioning(x: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -45,9 +45,9 @@ class HandOver:
     threshold_px : float
         Inlier threshold of the estimator, working pixels, > 0.
     collect : bool
-        Collect support again over all one-to-one matches of the set, each weighted by its probability, and
-        let this decide between roll hypotheses. False: the number of inliers among the matches handed over
-        (the paper).
+        Collect support again over all one-to-one matches of the set, and let what they say for F
+        (`epiprior.estimators.epiprior_evidence`) decide between roll hypotheses. False: the number of inliers
+        among the matches handed over (the paper).
     refine : bool
         Refine F on the matches that support is collected from, weighted by their probabilities.
 
@@ -139,7 +139,7 @@ def default_hand_over(estimator: str, kind: str) -> HandOver:
     if kind not in INPUTS:
         raise SettingsError(f"input is {kind!r}, known: {', '.join(INPUTS)}")
     improved = kind == "default"
-    if estimator == "epiprior":  # weighs all matches, by their rivals too, and refines
+    if estimator == "epiprior":  # makes the matches one-to-one, weighs all of them, and refines
         return HandOver(collect=True)
     top_k = 1000 if estimator in _TAKES_WEIGHTS else 500 if estimator in _TAKES_ORDER else 300
     return HandOver(one_to_one=True, top_k=top_k, collect=improved, refine=improved)

@@ -238,7 +238,7 @@ def load_model(name_or_path: str | Path, *, threads: int = 1) -> RankingModel:
     path = folder / MANIFEST
     try:
         manifest = json.loads(_read(path))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ModelError(f"{path}: not JSON: {error}") from error
     if not isinstance(manifest, dict) or manifest.get("schema_version") != SCHEMA_VERSION:
         version = manifest.get("schema_version") if isinstance(manifest, dict) else None

@@ -111,6 +111,8 @@ def prepare_pair(
         if own is None:
             assert photograph is not None
             own = detect_features(photograph, settings.features)
+        elif not isinstance(own, Features):
+            raise FeatureError(f"features of image {k + 1} are {type(own).__name__}, expected epiprior.Features")
         elif photograph is not None and own.image_size != photograph.size:
             raise FeatureError(
                 f"features of image {k + 1} belong to an image of {own.image_size}, the image is {photograph.size}"

@@ -51,7 +51,8 @@ def camera_plausibility(models: FloatArray, image_sizes: ImageSizes | None) -> F
         total = (E**2).sum(axis=(1, 2))
         product = (_cofactors(E) ** 2).sum(axis=(1, 2))
         first = (total + np.sqrt(np.maximum(total * total - 4.0 * product, 0.0))) / 2.0
-        ratio_sq = np.divide(product, first * first, out=np.zeros_like(first), where=first > 0)
+        first_sq = first * first
+        ratio_sq = np.divide(product, first_sq, out=np.zeros_like(first), where=first_sq > 0)
         best = np.maximum(best, np.sqrt(ratio_sq))
     return np.asarray(np.nan_to_num(best, nan=0.0).clip(0.0, 1.0))
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from epiprior.baselines import standard_set
 from epiprior.compilation import announce_compilation
+from epiprior.errors import ModelError
 from epiprior.features import View
 from epiprior.hypothesis import (
     Candidates,
@@ -15,12 +16,14 @@ from epiprior.hypothesis import (
     describe_matches,
     find_candidates,
 )
-from epiprior.models import RankingModel, load_model
+from epiprior.models import TARGETS, RankingModel, load_model
 from epiprior.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import PreprocessSettings, find_preset
-from epiprior.probabilities import MatchTable
+from epiprior.probabilities import DEFAULT_MATCH_COLUMNS, MatchTable
 from epiprior.stopwatch import Stopwatch
+from epiprior.two_keypoints import DEFAULT_COLUMNS, PAPER_COLUMNS
 from epiprior.types import Features, FloatArray, MatchSet, RankedMatches
+from epiprior.votes import add_votes
 
 
 def rank_matches(
@@ -65,8 +68,9 @@ def rank_matches(
     Paper, algorithm 1, lines 2 to 16.
     """
     settings = settings or find_preset(preset)
-    announce_compilation()
+    announce_compilation(add_votes, "the preprocessing", "about half a minute")
     model = model or load_model(settings.name)
+    _check_columns(model, settings)
     watch = Stopwatch()
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, watch=watch)
     with watch.step("roll"):
@@ -75,6 +79,18 @@ def rank_matches(
     return RankedMatches(
         sets=sets, standard=standard_set(prepared, settings), seconds=watch.seconds, preset=settings.name
     )
+
+
+def _check_columns(model: RankingModel, settings: PreprocessSettings) -> None:
+    """Raise ModelError where the model asks for what is not computed: it is another preset's or another version's."""
+    made = (DEFAULT_COLUMNS if settings.extended else PAPER_COLUMNS, DEFAULT_MATCH_COLUMNS)
+    for target, asked, known in zip(TARGETS, (model.two_keypoint_columns, model.match_columns), made, strict=True):
+        missing = [name for name in asked if name not in known]
+        if missing:
+            raise ModelError(
+                f"model {model.name}: {target} asks for columns that preset {settings.name} of this epiprior does not "
+                f"have: {', '.join(missing)}"
+            )
 
 
 def _rank_one(

@@ -38,6 +38,17 @@ def _require(name: str, value: NDArray[Any], shape: tuple[int | None, ...]) -> N
         raise FeatureError(f"{name} holds a NaN or infinite value, first in row {bad}")
 
 
+def _size_of(value: Any) -> tuple[int, int]:
+    """Return `value` as width and height, or raise FeatureError."""
+    try:
+        width, height = (int(side) for side in value)
+    except (TypeError, ValueError, OverflowError):
+        width = height = 0
+    if min(width, height) < 1:
+        raise FeatureError(f"features: image_size is {value!r}, expected a width and a height of at least one pixel")
+    return width, height
+
+
 @dataclass(frozen=True, kw_only=True)
 class Features:
     """Local features of one image (paper, section 4.1).
@@ -53,12 +64,12 @@ class Features:
     descriptors : ndarray, shape (N, D), float32
         Descriptors at the features' own orientation; for SIFT as OpenCV gives them, not normalised.
     image_size : tuple of int
-        Width and height of the image, pixels.
+        Width and height of the image, pixels, > 0.
 
     Raises
     ------
     FeatureError
-        If shapes disagree, a value is not finite, or a scale is not positive.
+        If shapes disagree, a value is not finite, or a scale or a side of the image is not positive.
     """
 
     xy: FloatArray
@@ -80,6 +91,7 @@ class Features:
                 raise FeatureError(f"features: {name} is not an array of numbers: {error}") from error
             object.__setattr__(self, name, value)
         n = len(self.xy)
+        object.__setattr__(self, "image_size", _size_of(self.image_size))
         _require("features: xy", self.xy, (None, 2))
         _require("features: scale", self.scale, (n,))
         _require("features: orientation_deg", self.orientation_deg, (n,))

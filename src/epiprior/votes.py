@@ -9,6 +9,7 @@ import numba
 import numpy as np
 
 from epiprior.frames import MatchFrames
+from epiprior.geometry import centred_columns
 from epiprior.types import FloatArray, IntArray
 
 _CHUNK = 512
@@ -142,7 +143,7 @@ def _moments(p1, p2):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"})
-def _count_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no-untyped-def]
+def add_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no-untyped-def]
     """Add, per match, the matrices within the limit and their weights, in the order of the matrices.
 
     All matches of the part meet one matrix at a time: the inner loop is over independent sums, which a processor takes
@@ -152,17 +153,9 @@ def _count_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore
     count = np.zeros(len(x), np.int32)
     none = np.float32(0)
     for k in range(F.shape[1]):
-        f0, f1, f2, f3, f4, f5, f6, f7, f8 = (
-            F[0, k],
-            F[1, k],
-            F[2, k],
-            F[3, k],
-            F[4, k],
-            F[5, k],
-            F[6, k],
-            F[7, k],
-            F[8, k],
-        )
+        f0, f1, f2 = F[0, k], F[1, k], F[2, k]
+        f3, f4, f5 = F[3, k], F[4, k], F[5, k]
+        f6, f7, f8 = F[6, k], F[7, k], F[8, k]
         w = weights[k]
         for m in range(len(x)):
             l0 = f0 * x[m] + f1 * y[m] + f2
@@ -212,17 +205,13 @@ def count_votes(
         return votes, weighted.astype(np.float64)
     # Centred coordinates keep single precision exact enough: the largest term is then of the order of the image.
     c1, c2 = x1.mean(axis=0), x2.mean(axis=0)
-    T1, T2 = np.eye(3), np.eye(3)
-    T1[:2, 2], T2[:2, 2] = c1, c2
-    G = T2.T @ F @ T1
-    G /= np.abs(G[:, :2, :2]).max(axis=(1, 2), keepdims=True) + np.abs(G).max(axis=(1, 2), keepdims=True) * 1e-9
-    columns = np.ascontiguousarray(G.reshape(-1, 9).T, dtype=np.float32)
+    columns = centred_columns(F, c1, c2)
     w = np.ones(len(F), np.float32) if weights is None else weights.astype(np.float32)
     p1, p2 = (x1 - c1).astype(np.float32), (x2 - c2).astype(np.float32)
 
     def work(first: int) -> None:
         part = slice(first, first + _CHUNK)
-        _count_votes(columns, w, p1[part], p2[part], np.float32(threshold**2), votes[part], weighted[part])
+        add_votes(columns, w, p1[part], p2[part], np.float32(threshold**2), votes[part], weighted[part])
 
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         list(pool.map(work, range(0, len(x1), _CHUNK)))

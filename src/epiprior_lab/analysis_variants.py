@@ -98,7 +98,8 @@ def ranked_sets(
         `cast_votes`, or `oriented_votes`.
     standard : bool
         Whether X is united with X_L and X_B. False: X alone, whose matches then miss d_r and t_k as the paper says.
-        The model is the same and was trained on the united matches.
+        The model is the same and was trained on the united matches; so are the matches of 2keypoints with their
+        coherence, which X_L and X_B have a say in.
     """
     return tuple(
         rank_voted(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from epiprior.compilation import announce_compilation
 from epiprior.estimators.epiprior_evidence import Evidence, match_weights, prior_probability, spread_groups
 from epiprior.estimators.epiprior_kernels import climb, refine_models
 from epiprior.estimators.epiprior_plane import plane_and_parallax
@@ -52,7 +53,8 @@ class EpipriorEstimator:
     Deterministic: the seed changes nothing.
 
     Every choice among refined hypotheses follows one score: what the matches say, each part of the images once
-    (`epiprior.estimators.epiprior_evidence`), times the plausibility of the cameras (`epiprior.plausibility`).
+    (`epiprior.estimators.epiprior_evidence`), times the plausibility of the cameras (`epiprior.plausibility`). Local
+    optimisation of one hypothesis climbs its first factor alone.
     """
 
     name: str = "epiprior"
@@ -83,6 +85,7 @@ class EpipriorEstimator:
         single = matches.one_to_one()
         if len(single) < MIN_MATCHES:
             return RawModel(F=None)
+        announce_compilation(climb, "the estimator epiprior", "about ten seconds")
         search = _Search.of(single, self.head, settings.threshold_px)
         sources = self._proposals(search.head, settings)
         kept = (self.kept_rough, self.kept_other, self.kept_other)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.estimators.epiprior_kernels import score_models
+from epiprior.geometry import centred_columns
 from epiprior.plausibility import camera_plausibility
 from epiprior.refine import SCORE_THRESHOLD_PX
 from epiprior.types import Float32Array, FloatArray, IntArray, MatchSet
@@ -66,7 +67,7 @@ class Evidence:
         """
         found = np.zeros(len(models), np.float32)
         if len(models) and len(self.x1):
-            columns = _centred_columns(models, self.centre1, self.centre2)
+            columns = centred_columns(models, self.centre1, self.centre2)
             score_models(columns, self.x1, self.x2, self.weights, self.group, np.float32(threshold_px**2), found)
         return np.nan_to_num(found.astype(np.float64), nan=0.0)
 
@@ -123,13 +124,3 @@ def prior_probability(matches: MatchSet) -> FloatArray:
     known = matches.probability
     guessed = 1.0 / (1.0 + np.exp(13.0 * (matches.distance_ratio - 0.65)))
     return np.clip(np.where(np.isnan(known), guessed, known), 0.0, 1.0)
-
-
-def _centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray) -> Float32Array:
-    """Return the models about the two centres, each at a size of about one, as (9, K)."""
-    T1, T2 = np.eye(3), np.eye(3)
-    T1[:2, 2], T2[:2, 2] = centre1, centre2
-    G = T2.T @ models @ T1
-    size = np.abs(G).max(axis=(1, 2), keepdims=True)
-    G = G / (np.abs(G[:, :2, :2]).max(axis=(1, 2), keepdims=True) + 1e-9 * size + 1e-300)
-    return np.ascontiguousarray(G.reshape(-1, 9).T, dtype=np.float32)

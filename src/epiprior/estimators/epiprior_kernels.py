@@ -14,11 +14,12 @@ _CHUNK = 128
 _POWER_STEPS = 8
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"})
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def score_models(F, x1, x2, weights, group, limit_sq, scores):  # type: ignore[no-untyped-def]
     """Add up, per model, what the matches say for it; `scores` (K,) is written.
 
-    `F` is (9, K); matches are sorted by `group`, and of each group the best counts: w (1 - r^2 / limit_sq).
+    `F` is (9, K); matches are sorted by `group`, and of each group the best counts: w (1 - r^2 / limit_sq). A match for
+    whose points `F` has no epipolar lines says nothing; nor does any match for a model of zeros.
     """
     n = len(x1)
     one, none = np.float32(1), np.float32(0)
@@ -188,7 +189,6 @@ def fit_weighted(x1, x2, w, F):  # type: ignore[no-untyped-def]  # noqa: PLR0912
 @numba.njit(cache=True, nogil=True)
 def _fit_weights(F, x1, x2, weights, limit_sq, out):  # type: ignore[no-untyped-def]
     """Write Tukey's weight of each match, over the squared gradient: the fit then minimises Sampson distances."""
-    total = 0.0
     for m in range(len(x1)):
         x, y, u, v = x1[m, 0], x1[m, 1], x2[m, 0], x2[m, 1]
         l0 = F[0, 0] * x + F[0, 1] * y + F[0, 2]
@@ -200,8 +200,6 @@ def _fit_weights(F, x1, x2, weights, limit_sq, out):  # type: ignore[no-untyped-
         e = u * l0 + v * l1 + l2
         rest = 1.0 - e * e / (gradient * limit_sq) if gradient > 0.0 else 0.0
         out[m] = weights[m] * rest * rest / gradient if rest > 0.0 else 0.0
-        total += max(rest, 0.0) * weights[m]
-    return total
 
 
 @numba.njit(cache=True, nogil=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from epiprior.estimators.loop import Recipe, search
+from epiprior.compilation import announce_compilation
+from epiprior.estimators.loop import Recipe, run_loop, search
 from epiprior.estimators.packages import package_version
 from epiprior.estimators.protocol import EstimatorSettings, RawModel
 from epiprior.types import FloatArray, MatchSet
@@ -43,6 +44,7 @@ class LoopEstimator:
 
     def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
         """Run the loop; a sample may give up to three hypotheses, `iterations` counts samples."""
+        announce_compilation(run_loop, "our own estimators", "about twenty seconds")
         return search(
             matches,
             self.prior(matches),

@@ -26,12 +26,14 @@ def check_output(path: Path, suffixes: Sequence[str] = ()) -> None:
     Raises
     ------
     OutputError
-        If the suffix is unknown, the folder is missing, or `path` is a folder.
+        If the suffix is unknown, the folder is missing or may not be written to, or `path` is a folder.
     """
     if suffixes and path.suffix.lower() not in suffixes:
         raise OutputError(f"{path}: unknown suffix {path.suffix!r}, known: {', '.join(suffixes)}")
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK):
+        raise OutputError(f"{path}: no permission to write to the folder {path.parent}")
     if path.is_dir():
         raise OutputError(f"{path}: is a folder")
 

@@ -4,7 +4,7 @@ Columns: ``set`` (0, 1, ...: one set of matches per roll hypothesis) and its ``r
 `MatchSet`: ``x1, y1, x2, y2, probability, supporting_matrices, distance_ratio, similarity_weight, similarity,
 two_keypoint_probability, scale1, scale2, orientation1_deg, orientation2_deg, feature1, feature2``. Of a set
 the best match comes first. A probability that is not known is an empty cell in CSV and NaN in NPZ. The rough
-matrices of a set are not kept.
+matrices of a set and the sizes of the images are not kept.
 """
 
 from __future__ import annotations
