@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from epiprior.estimators import run
-from epiprior.estimators.epiprior_evidence import Evidence, match_weights, spread_evidence, spread_groups
+from epiprior.estimators.epiprior_evidence import Evidence, match_weights, spread_evidence
 from epiprior.estimators.epiprior_kernels import climb, fit_weighted, refine_models
 from epiprior.estimators.epiprior_plane import models_of_plane, plane_and_parallax
 from epiprior.estimators.epiprior_proposals import fit_samples, oriented_pairs, progressive_rows
@@ -67,15 +67,6 @@ def test_best_matches_that_share_a_point_are_no_error():
     pair = make_pair(inliers=60, outliers=0)
     m = replace(pair.matches, x1=np.vstack([np.repeat(pair.matches.x1[:1], 20, axis=0), pair.matches.x1[20:]]))
     assert run("epiprior", m).raw_F is not None
-
-
-def test_groups_are_parts_of_both_images():
-    x1 = np.array([[10.0, 10.0], [40.0, 40.0], [10.0, 10.0], [60.0, 10.0]])
-    x2 = np.array([[10.0, 10.0], [20.0, 30.0], [100.0, 10.0], [10.0, 10.0]])
-    a, b, c, d = spread_groups(x1, x2)
-    assert a == b
-    assert len({a, c, d}) == 3
-    assert spread_groups(x1[:0], x2[:0]).shape == (0,)
 
 
 def test_a_crowd_speaks_once_and_an_implausible_camera_less():

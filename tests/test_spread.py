@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from epiprior.spread import CELL_PX, spread_of
+from epiprior.spread import CELL_PX, spread_groups, spread_of
 
 
 def naive_spread(x1, x2):
@@ -26,3 +26,12 @@ def test_the_image_that_is_covered_less_counts():
 
 def test_no_match_covers_nothing():
     assert spread_of(np.empty((0, 2)), np.empty((0, 2))) == 0
+
+
+def test_groups_are_parts_of_both_images():
+    x1 = np.array([[10.0, 10.0], [40.0, 40.0], [10.0, 10.0], [60.0, 10.0]])
+    x2 = np.array([[10.0, 10.0], [20.0, 30.0], [100.0, 10.0], [10.0, 10.0]])
+    a, b, c, d = spread_groups(x1, x2)
+    assert a == b
+    assert len({a, c, d}) == 3
+    assert spread_groups(x1[:0], x2[:0]).shape == (0,)

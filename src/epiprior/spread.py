@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from epiprior.types import FloatArray
+from epiprior.types import FloatArray, IntArray
 
-CELL_PX = 48.0  # the reach of a few features, as in `epiprior.estimators.epiprior_evidence`
+CELL_PX = 48.0  # the reach of a few features
 
 
 def spread_of(x1: FloatArray, x2: FloatArray) -> int:
@@ -26,3 +26,12 @@ def spread_of(x1: FloatArray, x2: FloatArray) -> int:
         From 0, without any match, to N.
     """
     return min(len(np.unique(np.floor(x / CELL_PX), axis=0)) for x in (x1, x2))
+
+
+def spread_groups(x1: FloatArray, x2: FloatArray) -> IntArray:
+    """Return a number for each match, the same for those that lead from one cell to one cell: shape (N,), >= 0.
+
+    Cells have 48 pixels, the reach of a few features.
+    """
+    cells = np.floor(np.hstack([x1, x2]) / CELL_PX).astype(np.int64)
+    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)

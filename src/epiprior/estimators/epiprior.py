@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.compilation import announce_compilation
-from epiprior.estimators.epiprior_evidence import Evidence, match_weights, prior_probability, spread_groups
+from epiprior.estimators.epiprior_evidence import Evidence, match_weights, prior_probability
 from epiprior.estimators.epiprior_kernels import climb, refine_models
 from epiprior.estimators.epiprior_plane import plane_and_parallax
 from epiprior.estimators.epiprior_proposals import fit_samples, oriented_pairs, progressive_rows
@@ -16,6 +16,7 @@ from epiprior.estimators.protocol import EstimatorSettings, RawModel
 from epiprior.estimators.samplers import generator_state
 from epiprior.geometry import MIN_MATCHES, sampson_distance
 from epiprior.plausibility import camera_plausibility
+from epiprior.spread import spread_groups
 from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
 
 # Thresholds in units of the inlier threshold: 1.5 px give 10, 8, 6, 4, 3, 2, 2, 1.5, 1.5.

@@ -16,11 +16,11 @@ from epiprior.estimators.epiprior_kernels import score_models
 from epiprior.geometry import centred_columns
 from epiprior.plausibility import camera_plausibility
 from epiprior.refine import SCORE_THRESHOLD_PX
+from epiprior.spread import spread_groups
 from epiprior.types import Float32Array, FloatArray, IntArray, MatchSet
 
 CHANCE = 0.02
 WITHOUT_RATIO = 0.5
-CELL_PX = 48.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,15 +93,6 @@ def spread_evidence(F: FloatArray, matches: MatchSet, threshold_px: float = SCOR
     weights = match_weights(single, prior_probability(single))
     evidence = Evidence.of(single.x1, single.x2, weights, spread_groups(single.x1, single.x2))
     return float(evidence.scores(F[None], threshold_px)[0] * camera_plausibility(F[None], single.image_sizes)[0])
-
-
-def spread_groups(x1: FloatArray, x2: FloatArray) -> IntArray:
-    """Return a number for each match, the same for those that lead from one cell to one cell: shape (N,), >= 0.
-
-    Cells have 48 pixels, the reach of a few features.
-    """
-    cells = np.floor(np.hstack([x1, x2]) / CELL_PX).astype(np.int64)
-    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
 def match_weights(matches: MatchSet, probability: FloatArray) -> FloatArray:
