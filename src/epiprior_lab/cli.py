@@ -25,7 +25,7 @@ def real(
     datasets: Annotated[Path, typer.Argument(help="Folder of pair sets in the uniform format.")],
     sets: Annotated[list[str] | None, typer.Option("--set", help="Only this set; may be repeated.")] = None,
     seeds: Annotated[int, typer.Option(help="Repetitions of each estimate.")] = 3,
-    out: Annotated[Path, typer.Option(help="Table of results, a row per pair.")] = Path("reports/real.csv"),
+    out: Annotated[Path, typer.Option(help="Table of results, a row per pair.")] = Path("data/real.csv"),
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler that gets the pairs, such as tcp://host:8786.")
     ] = None,

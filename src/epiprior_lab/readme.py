@@ -9,13 +9,10 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import pandas as pd
-
 from epiprior.errors import EpipriorError
 from epiprior_lab.params import load_params
-from epiprior_lab.photographs.params import PARAMS, RealParams, load_real_params
-from epiprior_lab.photographs.wording import set_lines, split_lines
-from epiprior_lab.real import INPUTS, summarise
+from epiprior_lab.photographs.params import PARAMS, load_real_params
+from epiprior_lab.photographs.wording import bound_rows, set_lines, split_lines
 from epiprior_lab.reports.markdown import bounds_lines, duel_lines, markdown_table, successes_lines
 from epiprior_lab.reports.study import read_table
 
@@ -24,8 +21,9 @@ _OPENING = re.compile(r"<!-- results:")
 _PERFORMANCE = "threshold_px family estimator pairs without snn default default_over_without"
 _DUEL = "threshold_px family input estimator difference difference_low difference_high verdict"
 _BOUNDS = "kind family threshold_px input estimator wanted found low high possible beaten others met"
+_REAL = Path("reports/real/tables")
 _REAL_SUCCESSES = "threshold_px group estimator input pairs successes gain gain_low gain_high"
-_REAL = "set pair_id scene points input seed status error_px precision_100"
+_REAL_BOUNDS = "kind group threshold_px estimator against wanted found low high possible kept of met"
 
 
 class ReadmeError(EpipriorError):
@@ -91,25 +89,11 @@ def _bounds(root: Path) -> list[str]:
 
 
 def _photographs(root: Path) -> list[str]:
-    """Return the tables of the second pipeline, or where it was not run, of `epiprior-lab real`.
-
-    Per split and estimator, successes below 10 px; then per set and input, precision of the top 100 / successes below
-    10 px / below 3 px. Errors of sets without control points mean something else; these sets stay out of the total.
-    """
-    tables = root / "reports" / "real" / "tables"
-    if tables.is_dir():
-        return _second_pipeline(tables, load_real_params(root / PARAMS))
-    rows = read_table(root / "reports" / "real.csv", _REAL)
-    lines = [_photograph_row(str(name), part) for name, part in rows.groupby("set", sort=True)]
-    lines.append(_photograph_row("**total**", rows[rows["points"] == "control_points"]))
-    return markdown_table(["set", "pairs", "X_L, the paper's baseline", "snn", "ours"], lines)
-
-
-def _second_pipeline(tables: Path, params: RealParams) -> list[str]:
+    """Return the successes on photographs: per split and estimator, then per set of the gallery's estimator."""
+    tables, report = root / _REAL, load_real_params(root / PARAMS).report
     successes = read_table(tables / "successes.csv", _REAL_SUCCESSES)
     rankings = read_table(tables / "rankings.csv", "group ranking precision_100")
     sets = read_table(tables / "sets.csv", "set title state pairs").fillna({"state": ""})
-    report = params.report
     strict = 3.0 if 3.0 in report.thresholds_px else min(report.thresholds_px)
     shown = report.gallery.estimator
     return [
@@ -121,13 +105,10 @@ def _second_pipeline(tables: Path, params: RealParams) -> list[str]:
     ]
 
 
-def _photograph_row(title: str, part: pd.DataFrame) -> list[str]:
-    numbers = summarise(part).set_index("input").to_dict("index")
-    cells = [
-        f"{row['precision_100']:.2f} / {row['successes_10']:.1f} / {row['successes_3']:.1f}"
-        for row in (numbers[name] for name in INPUTS)
-    ]
-    return [title, str(numbers[INPUTS[0]]["pairs"]), *cells]
+def _photographs_bounds(root: Path) -> list[str]:
+    bounds = read_table(root / _REAL / "bounds.csv", _REAL_BOUNDS)
+    rows = [[row["bound"], row["found"], row["met"]] for row in bound_rows(bounds)]
+    return markdown_table(["bound", "found", "met"], rows, texts=3)
 
 
 TABLES: Mapping[str, Callable[[Path], list[str]]] = {
@@ -135,4 +116,5 @@ TABLES: Mapping[str, Callable[[Path], list[str]]] = {
     "duel": _duel,
     "bounds": _bounds,
     "photographs": _photographs,
+    "photographs-bounds": _photographs_bounds,
 }

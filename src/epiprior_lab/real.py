@@ -44,7 +44,7 @@ def run_real(
     *,
     sets: Sequence[str] | None = None,
     seeds: int = 3,
-    out: Path = Path("reports/real.csv"),
+    out: Path = Path("data/real.csv"),
     workers: int | None = None,
     store: Path | None = Path("data/.tasks/real"),
     scheduler: str | None = None,
