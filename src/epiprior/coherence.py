@@ -49,7 +49,8 @@ def coherence(frames: MatchFrames, location1: IntArray, weights: FloatArray) -> 
     -----
     A match at ``x1 -> x2`` expects the neighbour at ``x1 + v`` at ``x2 + s R v``, where R turns by the roll hypothesis
     and s is the geometric mean of both matches' scale changes. With e the distance from there over ``s |v|``, a
-    candidate agrees by ``1 - (e / 0.4)^2``, and not at all beyond. Neighbours count from 2 to 300 working pixels.
+    candidate agrees by ``1 - (e / 0.4)^2``, and not at all beyond. Neighbours count from 2 to 300 working pixels. Where
+    the match's own location has nobody worth asking, 13 and 49 others are asked.
     """
     out = np.zeros((len(frames), len(COLUMNS)))
     asked = np.flatnonzero(weights >= _LEAST_WEIGHT)
