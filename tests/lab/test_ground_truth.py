@@ -267,7 +267,8 @@ def test_the_stages_write_pair_sets_with_control_points(tmp_path, monkeypatch):
     small, changed = re.subn(r"validation: \{.*\}", few, PARAMS)
     assert changed == 1
     small = small.replace("image_width: 1024", "image_width: 160").replace("image_height: 768", "image_height: 120")
-    assert "image_width: 160" in small and "image_height: 120" in small
+    assert "image_width: 160" in small
+    assert "image_height: 120" in small
     (tmp_path / "params.yaml").write_text(small)
     monkeypatch.setattr("sys.argv", ["stage", "--split", "validation"])
     render_stage.main()
