@@ -2,7 +2,7 @@
 
 >>> import epiprior
 >>> ranked = epiprior.rank_matches("left.jpg", "right.jpg")  # doctest: +SKIP
->>> estimate = epiprior.estimate_fundamental("left.jpg", "right.jpg", estimator="usac")  # doctest: +SKIP
+>>> estimate = epiprior.estimate_fundamental("left.jpg", "right.jpg")  # doctest: +SKIP
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ def estimate_fundamental(
     image1: Image,
     image2: Image,
     *,
-    estimator: str = "usac",
+    estimator: str = "epiprior",
     mode: Mode | None = None,
     preprocess: bool | None = None,
     preset: str = "default",
@@ -44,7 +44,7 @@ def estimate_fundamental(
     image1, image2 : path or ndarray
         The photographs: a file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB.
     estimator : str
-        Name of a robust estimator, see `epiprior.estimators`.
+        Name of a robust estimator, see `epiprior.estimators`; by default the one that did best.
     mode : str, optional
         ``preprocess`` (if neither this nor `preprocess` is given): matches are ranked by `rank_matches` first.
         ``standard``: the standard matches X_L, the baseline; for `generalized-ransac` those that belong to it, of

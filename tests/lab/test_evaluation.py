@@ -352,8 +352,8 @@ def test_search_finds_the_best_hand_over(pairs, monkeypatch):
         one_to_one=False, top_k=300, spread=0.1, threshold_px=1.0, collect=True, refine=False
     )
     assert best["usac", "default"].score[0] == 2 * 4  # two pairs, two seeds, both thresholds
-    # Where nothing matters, the first candidate stays, and the search is the same again.
-    assert best["prosac", "default"].how.top_k == 100
+    # Where nothing matters, the starting point stays.
+    assert best["prosac", "default"].how == hand_over_search.starting_point("prosac", "default")
     tried = [(t.estimator, t.input, t.how) for t in trials]
     assert len(tried) == len(set(tried))
     rows = [trial.row(trial is best[trial.estimator, trial.input]) for trial in trials]
@@ -385,6 +385,28 @@ def test_score_counts_both_thresholds_alike_then_the_area():
     assert trial(9.0, 2.0).score > trial(4.0, 4.0).score
     assert trial(9.0, 2.0).score > trial(9.5, 2.0).score
     assert trial(10.0, np.nan).score == (0, 0.0)
+
+
+def test_a_hand_over_is_left_only_for_gains_above_their_standard_error():
+    def trial(errors, top_k=None):
+        how = HandOver(top_k=top_k)
+        return hand_over_search.Trial(
+            estimator="usac", input="snn", step="top_k", how=how, errors_px=np.array(errors)[:, None]
+        )
+
+    known = trial([50.0] * 8 + [0.5] * 8)
+    lucky = trial([0.5, 0.5, *[50.0] * 6, 50.0, *[0.5] * 7], top_k=100)  # two pairs won, one lost
+    better = trial([0.5, 0.5, 0.5, *[50.0] * 5, *[0.5] * 8], top_k=300)
+    best = trial([*[0.5] * 6, 50.0, 50.0, 50.0, *[0.5] * 7], top_k=500)
+    gain = lucky._pair_scores() - known._pair_scores()
+    assert 0 < gain.mean() < gain.std(ddof=1) / 4
+    assert lucky.score > known.score
+    assert not lucky.gains_on(known)
+    assert not known.gains_on(known)
+    assert hand_over_search.choose(known, [lucky]) is known
+    assert hand_over_search.choose(known, [lucky, better]) is better
+    assert hand_over_search.choose(known, [lucky, best, better]) is best
+    assert trial([0.5]).gains_on(trial([2.0]))
 
 
 def test_paper_input_is_handed_over_as_printed():

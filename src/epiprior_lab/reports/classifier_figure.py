@@ -58,11 +58,17 @@ def classifier_figure(table: pd.DataFrame, path: Path) -> Path:
 def _bars(axis: Axes, part: pd.DataFrame) -> None:
     families = order_of(part["family"])
     y = np.arange(len(families))[::-1]
+    values = part.set_index("family").loc[families]
+    both = values["ungrouped"].notna().to_numpy()
     for offset, name, colour, label in (
-        (0.2, "grouped", "#0072b2", "folds by scene"),
-        (-0.2, "ungrouped", "#e3a76f", "folds by row, as in the paper: leaks (exported family)"),
+        (np.where(both, 0.2, 0.0), "grouped", "#0072b2", "folds by scene"),
+        (
+            np.full(len(families), -0.2),
+            "ungrouped",
+            "#e3a76f",
+            "folds by row, as in the paper: leaks (exported family)",
+        ),
     ):
-        values = part.set_index("family").loc[families]
         width = values[name].to_numpy(np.float64)
         axis.barh(y + offset, width, 0.36, color=colour, label=label)
         deviation = values[f"{name}_sd"].fillna(0.0).to_numpy(np.float64)

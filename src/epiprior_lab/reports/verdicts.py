@@ -17,7 +17,7 @@ from epiprior.types import Status
 from epiprior_lab.reports.markdown import markdown_table
 from epiprior_lab.reports.performance import ALL
 from epiprior_lab.reports.study import Study, order_of
-from epiprior_lab.reports.style import INPUT_LOOKS, MUTED, look_of, save, styled
+from epiprior_lab.reports.style import INK, INPUT_LOOKS, look_of, save, styled
 
 TURNED_DOWN = (Status.NO_MODEL, Status.DEGENERATE)
 NOTE = (
@@ -130,7 +130,7 @@ def verdict_figure(table: pd.DataFrame, path: Path) -> Path:
             Patch(color=look.colour, label=look.label)
             for look in (look_of(INPUT_LOOKS, name, k) for k, name in enumerate(inputs))
         ]
-        handles += [Patch(color=MUTED, label="degenerate"), Patch(color=MUTED, alpha=0.45, label="no_model")]
+        handles += [Patch(color=INK, label="full: degenerate"), Patch(color=INK, alpha=0.45, label="pale: no_model")]
         rows = 1 if len(handles) <= 6 else 2  # more do not fit side by side
         figure.legend(handles=handles, loc="outside upper center", ncols=-(-len(handles) // rows))
         return save(figure, path)
