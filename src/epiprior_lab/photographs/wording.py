@@ -76,7 +76,7 @@ def _found(row: Mapping[Any, Any]) -> str:
         limit = "" if np.isinf(row["possible"]) else f"; {percent(row['possible'])} if it solved every pair"
         estimator, _, name = str(row["against"]).partition(" on ")
         return f"{contribution_cell(interval, 'found')} over {estimator} on {input_name(name)}{limit}"
-    return f"{row['found']:+.2f} [{row['low']:+.2f}, {row['high']:+.2f}]; {row['possible']:+.2f} if all were right"
+    return f"{row['found']:+.3f} [{row['low']:+.3f}, {row['high']:+.3f}]; {row['possible']:+.3f} if all were right"
 
 
 def set_rows(sets: pd.DataFrame) -> list[list[str]]:
@@ -242,7 +242,7 @@ def split_lines(successes: pd.DataFrame, threshold_px: float) -> list[str]:
 def set_lines(
     sets: pd.DataFrame, successes: pd.DataFrame, rankings: pd.DataFrame, estimator: str, thresholds_px: Iterable[float]
 ) -> list[str]:
-    """Return one row per known set: precision of the top 100 / successes at each threshold, per input."""
+    """Return one row per set: precision of the top 100 / successes at each threshold, per input; then those absent."""
     thresholds = tuple(thresholds_px)
     mine = successes[successes["estimator"] == estimator]
     inputs = sorted(order_of(mine["input"]), key=lambda name: name == OURS)  # ours last
@@ -257,16 +257,13 @@ def set_lines(
             texts.append(" / ".join(values))
         return texts
 
-    rows: list[Sequence[str]] = []
-    for row in sets.to_dict("records"):
-        present = row["state"] != NOT_PRESENT
-        rows.append(
-            [
-                str(row["title"]),
-                str(row["pairs"]),
-                *(cells(str(row["set"])) if present else [NOT_PRESENT] * len(inputs)),
-            ]
-        )
+    absent = sets["state"] == NOT_PRESENT
+    rows: list[Sequence[str]] = [
+        [str(row["title"]), str(row["pairs"]), *cells(str(row["set"]))] for row in sets[~absent].to_dict("records")
+    ]
     total = int(successes[successes["group"] == ALL]["pairs"].iloc[0])
     rows.append(["**total**", str(total), *cells(ALL)])
+    if absent.any():
+        titles = ", ".join(sets[absent]["title"].astype(str))
+        rows.append([titles, str(sets[absent]["pairs"].sum()), *[NOT_PRESENT] * len(inputs)])
     return markdown_table(["set", "pairs", *(input_name(name) for name in inputs)], rows)
