@@ -74,16 +74,25 @@ def readme(
 def check_lock(
     root: Annotated[Path, typer.Option(help="Root of the repository.")] = Path(),
 ) -> None:
-    """Check that dvc.lock belongs to this code, these parameters, models and reports."""
+    """Check that dvc.lock, and that of the photographs, belong to this code, these parameters, models and reports."""
     from epiprior_lab import lockcheck
 
-    differences = lockcheck.check_lock(root)
-    for stage, lines in sorted(differences.items()):
-        typer.echo(f"{stage}: {'; '.join(lines)}")
-    if differences:
-        typer.echo("dvc.lock does not belong to this tree: run `make repro` and commit its results.", err=True)
+    stale = False
+    for folder, command in lockcheck.PIPELINES.items():
+        lock = Path(folder) / "dvc.lock"
+        if folder and not (root / lock).is_file():
+            typer.echo(f"{lock}: not there, photographs were not evaluated")
+            continue
+        differences = lockcheck.check_lock(root, folder)
+        for stage, lines in sorted(differences.items()):
+            typer.echo(f"{stage}: {'; '.join(lines)}")
+        if differences:
+            typer.echo(f"{lock} does not belong to this tree: run `{command}` and commit its results.", err=True)
+            stale = True
+        else:
+            typer.echo(f"{lock} belongs to this code, these parameters and these results.")
+    if stale:
         raise typer.Exit(1)
-    typer.echo("dvc.lock belongs to this code, these parameters and these results.")
 
 
 def main() -> None:

@@ -1,8 +1,9 @@
-"""Tell whether ``dvc.lock`` belongs to this code, these parameters and these committed results.
+"""Tell whether the locks of both pipelines belong to this code, these parameters and these committed results.
 
 ``dvc status`` answers that only where the data are present. A clean clone has none, so this check asks DVC
 for the hashes of what git holds (code, parameters, models, reports), and compares cached data by what the
-lock says of them: a stage must have read what the stage before it wrote.
+lock says of them: a stage must have read what the stage before it wrote. Photographs, which no stage writes
+and git does not hold, are not looked at.
 """
 
 import os
@@ -12,18 +13,23 @@ from typing import Any
 
 from epiprior.errors import EpipriorError
 
+PIPELINES = {"": "make repro", "benchmarks/real": "make real DATA=FOLDER"}
+"""Folder of each pipeline, from the root, and the command that runs it."""
+
 
 class LockError(EpipriorError):
     """The pipeline's files cannot be read, or there is no lock."""
 
 
-def check_lock(root: Path) -> dict[str, list[str]]:
-    """Compare ``dvc.lock`` with the working tree.
+def check_lock(root: Path, pipeline: str = "") -> dict[str, list[str]]:
+    """Compare a pipeline's ``dvc.lock`` with the working tree.
 
     Parameters
     ----------
     root : Path
-        Root of the repository: the folder of ``.dvc`` and ``dvc.yaml``.
+        Root of the repository: the folder of ``.dvc``.
+    pipeline : str
+        Folder of ``dvc.yaml`` and ``dvc.lock``, from the root: a key of `PIPELINES`.
 
     Returns
     -------
@@ -40,14 +46,15 @@ def check_lock(root: Path) -> dict[str, list[str]]:
     from dvc.exceptions import DvcException
     from dvc.repo import Repo
 
-    if not (root / "dvc.lock").is_file():
-        raise LockError(f"{root / 'dvc.lock'}: no such file; run the pipeline and commit it")
+    lock, definition = root / pipeline / "dvc.lock", Path(pipeline) / "dvc.yaml"
+    if not lock.is_file():
+        raise LockError(f"{lock}: no such file; run the pipeline and commit it")
     try:
         with Repo(str(root)) as repo:
-            stages = [stage for stage in repo.index.stages if stage.path_in_repo == "dvc.yaml"]
-            cached = {Path(out.fs_path): out for stage in stages for out in stage.outs if out.use_cache}
+            cached = {Path(out.fs_path): out for stage in repo.index.stages for out in stage.outs if out.use_cache}
+            stages = [stage for stage in repo.index.stages if Path(stage.path_in_repo) == definition]
             found = {stage.name: sorted(_differences(stage, cached, root.resolve())) for stage in stages}
-            found |= {name: ["in dvc.lock, not in dvc.yaml"] for name in _locked_names(root) - found.keys()}
+            found |= {name: ["in dvc.lock, not in dvc.yaml"] for name in _locked_names(lock) - found.keys()}
     except DvcException as error:
         raise LockError(f"{root}: DVC cannot read the pipeline: {error}") from error
     return {name: lines for name, lines in found.items() if lines}
@@ -65,8 +72,12 @@ def _differences(stage: Any, cached: dict[Path, Any], root: Path) -> Iterator[st
                 yield f"{entry}: not in dvc.lock"
             elif entry.hash_info != writer.hash_info:
                 yield f"{entry}: the lock says that its stage wrote {writer.hash_info.value}"
-        elif path.is_relative_to(root) and not any(path.is_relative_to(folder) for folder in cached):
+        elif _in_git(path, root) and not any(path.is_relative_to(folder) for folder in cached):
             yield from _described(entry.workspace_status())
+
+
+def _in_git(path: Path, root: Path) -> bool:
+    return path.is_relative_to(root) and not path.is_relative_to(root / "data")
 
 
 def _described(status: dict[str, Any], prefix: str = "") -> Iterator[str]:
@@ -78,8 +89,8 @@ def _described(status: dict[str, Any], prefix: str = "") -> Iterator[str]:
             yield f"{prefix}{name}: {value}"
 
 
-def _locked_names(root: Path) -> set[str]:
+def _locked_names(lock: Path) -> set[str]:
     import yaml
 
-    document = yaml.safe_load((root / "dvc.lock").read_text(encoding="utf-8")) or {}
+    document = yaml.safe_load(lock.read_text(encoding="utf-8")) or {}
     return set(document.get("stages", {}))

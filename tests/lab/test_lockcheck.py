@@ -22,6 +22,14 @@ stages:
     params: [last]
     outs: [model: {cache: false}]
 """
+PHOTOGRAPHS = """
+stages:
+  report:
+    cmd: mkdir -p reports/real && cat data/real/set/photo model/weights > reports/real/table
+    wdir: ../..
+    deps: [data/real/set, model]
+    outs: [reports/real: {cache: false}]
+"""
 PARAMS = "first: 1\nlast: {low: 0.5, names: [a, b]}\nother: 1\n"
 
 
@@ -40,7 +48,11 @@ def committed(tmp_path_factory):
     (folder / "dvc.yaml").write_text(PIPELINE)
     (folder / "params.yaml").write_text(PARAMS)
     (folder / ".dvcignore").write_text("__pycache__/\n")
-    for arguments in (["init", "--no-scm", "-q"], ["repro", "-q"]):
+    (folder / "data" / "real" / "set").mkdir(parents=True)
+    (folder / "data" / "real" / "set" / "photo").write_text("a photograph\n")
+    (folder / "benchmarks" / "real").mkdir(parents=True)
+    (folder / "benchmarks" / "real" / "dvc.yaml").write_text(PHOTOGRAPHS)
+    for arguments in (["init", "--no-scm", "-q"], ["repro", "-q"], ["repro", "-q", "benchmarks/real/dvc.yaml"]):
         done = run(folder, "dvc", *arguments)
         assert done.returncode == 0, done.stderr
     shutil.rmtree(folder / "data")
@@ -90,6 +102,29 @@ def test_what_differs_is_named_with_its_stage(file, old, new, named, clone):
     code, output = check(clone)
     assert all(name in output for name in named), output
     assert code == 1
+
+
+def test_results_on_photographs_must_belong_to_the_models(clone):
+    table = clone / "reports" / "real" / "table"
+    assert "a photograph" in table.read_text()
+    edit(clone / "benchmarks" / "real" / "dvc.yaml", "cat data", "cat  data")
+    code, output = check(clone)
+    assert code == 1
+    assert "report: command: modified" in output
+    assert "benchmarks/real/dvc.lock does not belong to this tree: run `make real DATA=FOLDER`" in output
+    assert "\ndvc.lock belongs" in "\n" + output
+    edit(clone / "benchmarks" / "real" / "dvc.yaml", "cat  data", "cat data")
+    edit(table, "a photograph", "another")
+    code, output = check(clone)
+    assert code == 1
+    assert "report: reports/real: modified" in output
+
+
+def test_a_repository_without_photographs_has_one_lock(clone):
+    (clone / "benchmarks" / "real" / "dvc.lock").unlink()
+    code, output = check(clone)
+    assert code == 0, output
+    assert "photographs were not evaluated" in output
 
 
 def test_a_missing_committed_result_is_named(clone):
