@@ -317,7 +317,9 @@ def test_the_readme_takes_its_table_from_here(made, out, tmp_path):
     assert " / ".join(f"**{n}**" if n == best else n for n in numbers) in got
     assert "| estimator: without / snn / gms / ours | easy pairs (3) |" in got
     assert "| set | pairs | X_L | snn | gms | ours |" in got
-    assert "| ZuBuD1 | 137" + " | not present" * 4 + " |" in got
+    (absent,) = (line for line in got.splitlines() if "not present" in line)
+    assert absent.startswith("| ZuBuD1, ZuBuD2, ")  # in one row, with the number of pairs of them all
+    assert absent.endswith(" | not present" * 4 + " |")
     assert "| **total** | 12 |" in got
 
 
