@@ -106,8 +106,10 @@ def analyse_pair(
         whole=tuple(oracles.Labelled(matches=s, right=_right(pair, s, labels), pixel=pixel) for s in whole),
     )
     key = {"family": family, "pair_id": pair.pair_id, "scene": pair.scene}
+    estimators = (settings.estimator, *(settings.others if complete else ()), settings.beyond)
+    ours = {name: bench.estimated(whole, name, "default") for name in estimators}
     others = () if complete else settings.others
-    results = [{**key, "experiment": "steps", **row} for row in _steps(bench, paper, whole, others)]
+    results = [{**key, "experiment": "steps", **row} for row in _steps(bench, paper, ours, others)]
     rankings: list[Row] = []
     for variant, ranking, sets in _ablations(default, whole, settings.two_keypoint_counts if complete else ()):
         names = {"variant": variant, "ranking": ranking}
@@ -117,7 +119,7 @@ def analyse_pair(
         results += [{**key, "experiment": "ablation", **names, **row} for row in rows]
     limits: list[Row] = []
     if complete:
-        oracle, limit = _oracles(bench, default)
+        oracle, limit = _oracles(bench, default, ours)
         results += [{**key, "experiment": "oracle", **row} for row in oracle]
         limits.append({**key, **limit})
     return PairAnalysis(results=results, rankings=rankings, limits=limits)
@@ -127,8 +129,11 @@ def _right(pair: Pair, m: MatchSet, labels: LabelSettings) -> BoolArray:
     return label_matches(pair, m.x1, m.x2, m.scale1, m.scale2, settings=labels)
 
 
-def _steps(bench: Bench, paper: Proposals, whole: tuple[MatchSet, ...], others: Sequence[str]) -> Iterator[Row]:
-    """Yield the rows of the paper's figure; `others` run on sfm alone and on all measures only."""
+def _steps(bench: Bench, paper: Proposals, ours: Mapping[str, list[Row]], others: Sequence[str]) -> Iterator[Row]:
+    """Yield the rows of the paper's figure; `others` run on sfm alone and on all measures only.
+
+    `ours` holds what each estimator makes of the preset `default`.
+    """
     settings = bench.settings
     sets = ranked_sets(paper)
     standard = standard_set(paper.prepared, paper.settings)
@@ -145,8 +150,8 @@ def _steps(bench: Bench, paper: Proposals, whole: tuple[MatchSet, ...], others: 
     refined = None if F is None else oracles.refine_on_all(F, supporters, bench.whole[0].pixel)
     yield from rows("single F, refined", "none", bench.known(refined))
     yield from rows("paper", "final", bench.estimated(sets, settings.estimator, "paper"))
-    yield from rows("default", "final", bench.estimated(whole, settings.estimator, "default"))
-    yield from rows("beyond", "final", bench.estimated(whole, settings.beyond, "default"))
+    yield from rows("default", "final", ours[settings.estimator])
+    yield from rows("beyond", "final", ours[settings.beyond])
     for other in others:
         ordered = [reordered(s, "sfm") for s in sets]
         yield from rows("sfm", "sfm", bench.estimated(ordered, other, "paper", calibrated=False))
@@ -187,13 +192,13 @@ def _ablations(
             yield variant, ranking, sets
 
 
-def _oracles(bench: Bench, proposals: Proposals) -> tuple[list[Row], Row]:
-    """Return the rows of the runs that know the truth, and what the pair allows."""
+def _oracles(bench: Bench, proposals: Proposals, ours: Mapping[str, list[Row]]) -> tuple[list[Row], Row]:
+    """Return the rows of the runs that know the truth, beside `ours`, which do not, and what the pair allows."""
     settings = bench.settings
-    rows: list[Row] = []
-    for estimator in (settings.estimator, settings.beyond):
-        # The hand-over of the probabilities: what changes is what they say.
-        told = [oracles.labels_first(each) for each in bench.whole]
+    rows: list[Row] = [{"variant": "default", **row} for found in ours.values() for row in found]
+    # The hand-over of the probabilities: what changes is what they say.
+    told = [oracles.labels_first(each) for each in bench.whole]
+    for estimator in ours:
         rows += [{"variant": "true labels", **row} for row in bench.estimated(told, estimator, "default")]
     rough, refined, fits, refits = [], [], [], []
     for each in bench.whole:

@@ -34,7 +34,7 @@ class AnalysisSettings:
     estimator : str
         The paper's of this analysis, which runs on every variant.
     others : tuple of str
-        Run on sfm alone and on all measures of easy pairs only.
+        Run on sfm alone and on all measures of easy pairs, and on probabilities and true labels of the others.
     beyond : str
         The estimator that goes beyond the paper.
     seeds : tuple of int

@@ -207,6 +207,8 @@ def test_rows_of_a_pair(analysed):
         ("steps", "standard", "usac", "lowe"),
         ("steps", "default", "usac", "final"),
         ("ablation", "default", "usac", "sfm"),
+        ("oracle", "default", "prosac", "final"),
+        ("oracle", "true labels", "prosac", "final"),
         ("oracle", "true labels", "magsac++", "final"),
         ("oracle", "right matches", "none", "final"),
         ("oracle", "best rough F, refined on all", "none", "final"),
@@ -279,6 +281,9 @@ RATES = {
     ("steps", "standard", "usac"): [0, 0, 0.2, 1],
     ("steps", "paper", "usac"): [0.2, 0, 0.6, 1],
     ("steps", "default", "usac"): [1, 0.4, 0, 0.4],
+    ("oracle", "default", "usac"): [1, 0.4, 0, 0.4],
+    ("oracle", "default", "beem"): [0, 0, 0, 1],
+    ("oracle", "true labels", "beem"): [1, 1, 0, 1],
     ("oracle", "right matches", "none"): [1, 1, 1, 0],
     ("oracle", "best rough F, refined on all", "none"): [1, 1, 0, 0],
 }
@@ -286,12 +291,13 @@ RATES = {
 
 def test_where_successes_are_lost():
     lost = analysis_tables.lost_table(made_up(RATES), (10.0, 0.5))
-    at = lost.set_index("threshold_px").loc[10.0]
-    assert at["estimator"] == "usac"
+    at = lost.set_index(["threshold_px", "estimator"])
+    assert list(at.index) == [(t, name) for t in (10.0, 0.5) for name in ("usac", "beem")]
     parts = ["chosen", "missed", "outscored", "hypothesis", "matches"]
     # The F chosen for p1 has score 11, that of the truth 11.5.
-    assert at[parts].tolist() == pytest.approx([1.8, 0.6, 0, 1.0, 0.6])
-    assert lost.set_index("threshold_px").loc[0.5, parts].tolist() == [0, 0, 0, 0, 4]
+    assert at.loc[(10.0, "usac"), parts].tolist() == pytest.approx([1.8, 0.6, 0, 1.0, 0.6])
+    assert at.loc[(10.0, "beem"), parts].tolist() == pytest.approx([1, 2, 0, 1, 0])
+    assert at.loc[(0.5, "usac"), parts].tolist() == [0, 0, 0, 0, 4]
     higher = made_up(RATES)
     higher.results["score"] = 12.0
     assert analysis_tables.lost_table(higher, (10.0,)).loc[0, parts].tolist() == pytest.approx([1.8, 0, 0.6, 1.0, 0.6])
@@ -299,7 +305,11 @@ def test_where_successes_are_lost():
 
 def test_successes_and_their_references():
     table = analysis_tables.success_table(made_up(RATES), thresholds_px=(10.0,), draws=200, seed=0)
-    table = table.set_index("variant")
+    with_beem = table[table["estimator"] == "beem"].set_index("variant")
+    assert np.isnan(with_beem.loc["default", "difference"])
+    assert with_beem.loc["true labels", "difference"] == pytest.approx(3 - 1)
+    table = table[(table["estimator"] != "beem")]
+    table = table.drop_duplicates("variant").set_index("variant")
     assert table.loc["standard", "successes"] == pytest.approx(1.2)
     assert table.loc["standard", "difference"] == pytest.approx(1.2 - 1.8)
     assert np.isnan(table.loc["paper", "difference"])

@@ -130,15 +130,15 @@ def reference_of(key: tuple[str, ...], main: str) -> tuple[str, ...]:
     key : tuple of str
         Experiment, variant, ranking, estimator.
     main : str
-        The estimator of all variants. Only what another one makes of a part is compared with what it makes of the
-        whole.
+        The estimator of all variants, with which is compared what no estimator made. What another one makes of a
+        part is compared with what it makes of the whole.
     """
     experiment, variant, ranking, estimator = key
     if experiment == "ablation":
         return ("ablation", "default", ranking, estimator)
     if experiment == "steps":
         return ("steps", "paper", "final", estimator if variant in ("sfm", "paper") else main)
-    return ("steps", "default", "final", main)
+    return ("oracle", "default", "final", estimator if variant in ("default", "true labels") else main)
 
 
 def cells(name: str, interval: Interval, factor: float = 1.0) -> dict[str, float]:
@@ -212,9 +212,9 @@ def lost_table(analysis: Analysis, thresholds_px: Sequence[float]) -> pd.DataFra
             oracle = results[results["experiment"] == "oracle"]
             good = success_rates(oracle, threshold, variant=BEST_HYPOTHESIS)[0] > 0
             fit = success_rates(oracle, threshold, variant=CEILING)[0] > 0
-            steps = results[(results["experiment"] == "steps") & results["variant"].isin(["default", "beyond"])]
-            for estimator in order_of(steps["estimator"]):
-                part = steps[steps["estimator"] == estimator]
+            ours = oracle[oracle["variant"] == "default"]
+            for estimator in order_of(ours["estimator"]):
+                part = ours[ours["estimator"] == estimator]
                 rate, _ = success_rates(part, threshold)
                 lost = 1 - rate
                 outscored = _outscored(analysis.limits, part, threshold)[good].sum()
