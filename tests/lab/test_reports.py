@@ -309,7 +309,8 @@ def test_page_is_whole(root, written):
     sections += ["roll", "calibration", "classifiers", "hand-over", "verdict", "time", "method"]
     assert page.ids == sections
     inside = [link for link in page.links if link.startswith("#")]
-    assert [link[1:] for link in inside] == sections
+    assert [link[1:] for link in inside[: len(sections)]] == sections  # the contents
+    assert {link[1:] for link in inside} == set(sections)
     # Everything lies beside the page: written with it, or by another stage.
     outside = [link for link in (*page.links, *page.images) if not link.startswith("#")]
     others = ("timings/", "analysis/", "cascade.")

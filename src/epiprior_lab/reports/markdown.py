@@ -49,7 +49,8 @@ def performance_markdown(performance: pd.DataFrame, duels: pd.DataFrame, bounds:
         "",
         "## Bounds",
         "",
-        "What was wanted before the study was run, and what came out.",
+        "What was wanted before the study was run, and what came out. What limits it, by runs that know the",
+        "truth: [analysis/analysis.md](analysis/analysis.md), at its end.",
         "",
         *bounds_lines(bounds, champion),
     ]
