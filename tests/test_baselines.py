@@ -27,6 +27,10 @@ def test_handed_in_features_give_what_detection_gives(make, monkeypatch):
     assert len(got) > 100
     for column in fields(got):
         np.testing.assert_array_equal(getattr(got, column.name), getattr(wanted, column.name), err_msg=column.name)
+    for features, rows, xy in ((features1, got.feature1, got.x1), (features2, got.feature2, got.x2)):
+        np.testing.assert_array_equal(features.xy[rows], xy)
+        used = features.take(np.unique(rows))
+        assert len(np.unique(np.column_stack([used.xy, used.scale]), axis=0)) == len(used)  # of twins, one
     half1, half2 = (features.take(np.arange(0, len(features), 2)) for features in (features1, features2))
     assert len(half1) > len(make(*pair, features1=half1, features2=features2)) > 10
     assert 10 < len(make(*pair, features1=features1, features2=half2)) < len(got)

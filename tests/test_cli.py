@@ -378,6 +378,10 @@ def photographs(tmp_path_factory):
     return {
         "left": save(folder / "left.png", left),
         "right": save(folder / "right.png", right),
+        **{
+            name: save(folder / f"{name}.png", x)
+            for name, x in zip(("small1", "small2"), relief_pair(240, 180), strict=True)
+        },
         "black": save(folder / "black.png", np.zeros((200, 300), np.uint8)),
         "tiny": save(folder / "tiny.png", texture(10, 10)),
         "text": folder / "text.jpg",
@@ -389,6 +393,13 @@ def photographs(tmp_path_factory):
     }
 
 
+def assert_rows_correspond(F, x1):
+    """The cameras of the good pairs stand side by side: (F x1) is the row of x1, here at the column 200."""
+    lines = np.column_stack([x1, np.ones(len(x1))]) @ np.array(F).T
+    rows = -(lines[:, 0] * 200 + lines[:, 2]) / lines[:, 1]
+    np.testing.assert_allclose(rows, np.array(x1)[:, 1], atol=1.5)
+
+
 @pytest.mark.parametrize("how", ["--preprocess", "--no-preprocess", "--mode=cascade"])
 def test_a_good_pair(with_model, photographs, how):
     result = run("estimate", photographs["left"], photographs["right"], how, "--json")
@@ -396,12 +407,22 @@ def test_a_good_pair(with_model, photographs, how):
     printed = json.loads(result.stdout)
     assert printed["status"] == "ok"
     assert printed["support"] > 300
-    # The cameras stand side by side: (F x1) is the row of x1.
-    F = np.array(printed["F"])
-    x1 = np.array([[100.0, 50.0, 1.0], [300.0, 250.0, 1.0]])
-    lines = x1 @ F.T
-    rows = -(lines[:, 0] * 200 + lines[:, 2]) / lines[:, 1]
-    np.testing.assert_allclose(rows, [50, 250], atol=1.5)
+    assert_rows_correspond(printed["F"], [(100, 50), (300, 250)])
+
+
+@pytest.mark.parametrize("name", list(epiprior.estimators()))
+def test_every_estimator_on_a_good_pair(with_model, photographs, name):
+    state = epiprior.estimators()[name]
+    result = run("estimate", photographs["small1"], photographs["small2"], "--estimator", name, "--json")
+    if state != "available":
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert state in one_line(result)
+        return
+    assert result.exit_code == 0, result.stderr
+    printed = json.loads(result.stdout)
+    assert (printed["estimator"], printed["status"]) == (name, "ok")
+    assert printed["support"] > 100
+    assert_rows_correspond(printed["F"], [(60, 30), (200, 160)])
 
 
 def test_the_same_seed_gives_the_same_json(with_model, photographs):

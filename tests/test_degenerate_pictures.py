@@ -54,8 +54,8 @@ def test_a_turning_camera_decides_nothing(name):
 def test_a_photographed_plane_decides_nothing(name, seeds):
     """Where chance puts a third wrong match on the epipolar lines of two others, F passes for decided.
 
-    `epiprior.degeneracy.why_degenerate` tells how often. Here it is half of the seeds with OpenCV 5, less with 4.13:
-    one seed would be a lottery.
+    `epiprior.degeneracy.why_degenerate` tells how often, docs/degeneracy.md what follows. Here it is half of the seeds
+    with OpenCV 5, less with 4.13: one seed would be a lottery.
     """
     matches = matches_of("plane")
     assert len(matches) > 100

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 from types import SimpleNamespace
 
 import cv2
@@ -65,6 +66,12 @@ def test_registry_names_states_and_licences():
     assert epiprior.estimators() == estimators()
     assert estimators()["usac"] == "available"
     assert all(licences().values())
+
+
+@pytest.mark.skipif(find_spec("sklearn") is None, reason="the extra lab, which brings all backends, is not installed")
+def test_none_is_missing_where_the_extra_lab_is_installed():
+    """Both locks install it; a missing backend would drop its tests from this file without a word."""
+    assert set(AVAILABLE) == KNOWN
 
 
 @each_estimator
@@ -249,6 +256,15 @@ def test_opencv_none_with_a_garbage_mask_is_no_model(monkeypatch):
     assert estimate.status is Status.NO_MODEL
 
 
+def test_pycolmap_none_is_no_model(monkeypatch):
+    pycolmap = pytest.importorskip("pycolmap")
+    monkeypatch.setattr(pycolmap, "estimate_fundamental_matrix", lambda *_: None)
+    matches = make_pair().matches
+    estimate = run("colmap", matches)
+    assert_sound(estimate, matches)
+    assert estimate.status is Status.NO_MODEL
+
+
 def backend_answers(monkeypatch, name, F):
     """Let the backend of an estimator return `F`, beside a mask that is garbage."""
     garbage = np.full((300, 1), 205, np.uint8)
@@ -371,9 +387,10 @@ def test_unequal_numbers_of_points_are_refused():
         run("usac", make_matches(matches.x1, matches.x2[:-1]))
 
 
-def test_negative_seed_is_refused():
-    with pytest.raises(SettingsError, match="-1"):
-        run("usac", make_pair().matches, seed=-1)
+@pytest.mark.parametrize("seed", [-1, 1.5])
+def test_a_seed_is_a_whole_number(seed):
+    with pytest.raises(SettingsError, match=f"seed is {seed}"):
+        run("usac", make_pair().matches, seed=seed)
 
 
 @pytest.mark.parametrize(

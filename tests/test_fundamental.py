@@ -9,8 +9,8 @@ import pytest
 
 from epiprior import fundamental, preprocess
 from epiprior.cascade import CascadeRule
-from epiprior.errors import EstimatorError, SettingsError
-from epiprior.features import detect_features
+from epiprior.errors import EstimatorError, ImageError, SettingsError
+from epiprior.features import detect_features, load_photograph
 from epiprior.fundamental import estimate_fundamental
 from epiprior.geometry import sampson_distance
 from epiprior.handover import HandOver
@@ -55,7 +55,7 @@ def test_ranked_matches_are_used_and_their_seconds_kept(monkeypatch):
 def test_images_are_ranked_with_the_preset(monkeypatch):
     pair, asked = make_pair(), []
 
-    def rank(image1, image2, *, preset):
+    def rank(image1, image2, *, preset, **features):
         asked.append(preset)
         return ranked_of(pair.matches, pair.matches)
 
@@ -170,7 +170,32 @@ def test_other_features_are_not_shared(ranking, monkeypatch):
     monkeypatch.setattr(fundamental, "find_preset", lambda name: fewer if name == "default" else find_preset(name))
     left, right = relief_pair(240, 180)
     estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE)
-    assert ranking["calls"] == [{"preset": "default"}]
+    assert ranking["calls"] == [{"preset": "default", "features1": None, "features2": None}]
+
+
+@pytest.mark.parametrize("estimator", ["usac", "generalized-ransac"])
+def test_features_of_the_callers_own_are_used_on_both_inputs(ranking, monkeypatch, estimator):
+    monkeypatch.setattr("epiprior.pair.detect_features", lambda *_: pytest.fail("features were detected"))
+    ranking["matches"] = replace(ranking["matches"], image_sizes=((1024, 768), (1024, 768)))
+    pictures = relief_pair(240, 180)
+    own = [detect_features(load_photograph(picture)) for picture in pictures]
+    options = {"estimator": estimator, "features1": own[0], "features2": own[1]}
+    with_images = estimate_fundamental(*pictures, mode="standard", **options)
+    assert with_images.status is Status.OK
+    without = estimate_fundamental(None, None, mode="standard", **options)
+    assert without.F.tobytes() == with_images.F.tobytes()
+    estimate_fundamental(None, None, mode="cascade", rule=KEEP_NONE, **options)
+    (call,) = ranking["calls"]
+    assert call["features1"] is own[0]
+    assert call["features2"] is own[1]
+
+
+def test_without_image_or_size_a_threshold_has_no_meaning(ranking):
+    ranked = ranked_of(ranking["matches"], ranking["matches"])
+    with pytest.raises(ImageError, match="do not know its size"):
+        estimate_fundamental(None, None, ranked=ranked)
+    sized = replace(ranking["matches"], image_sizes=((1024, 768), (1024, 768)))
+    assert estimate_fundamental(None, None, ranked=ranked_of(sized, sized)).status is Status.OK
 
 
 def test_a_poor_estimate_is_better_than_none(ranking):
@@ -207,7 +232,7 @@ def test_generalized_ransac_has_an_input_of_its_own(ranking):
     assert {"generalized matches", "estimator"} <= set(estimate.seconds)
     second = estimate_fundamental(left, right, estimator="generalized-ransac", mode="cascade", rule=KEEP_NONE)
     assert second.input == "default"
-    assert ranking["calls"] == [{"preset": "default"}]
+    assert ranking["calls"] == [{"preset": "default", "features1": None, "features2": None}]
 
 
 def test_a_threshold_is_for_both_inputs(ranking):

@@ -1,5 +1,6 @@
 import hashlib
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -164,7 +165,7 @@ def test_threads_are_checked(folder):
 @pytest.mark.parametrize("name", ["two_keypoint.onnx", "match.onnx", "manifest.json", "README.md"])
 def test_a_missing_file_is_named(folder, name):
     (folder / name).unlink()
-    with pytest.raises(ModelError, match=name):
+    with pytest.raises(ModelError, match=rf"^{re.escape(str(folder / name))}: cannot be read"):
         load_model(folder)
 
 

@@ -103,6 +103,10 @@ def test_features_of_the_callers_own(model):
     found = epiprior.rank_matches(left, right, features1=own[0], features2=own[1], model=model)
     plain = epiprior.rank_matches(left, right, model=model)
     np.testing.assert_array_equal(found.sets[0].probability, plain.sets[0].probability)
+    for column, features in (("1", own[0]), ("2", own[1])):
+        rows = getattr(found.sets[0], f"feature{column}")
+        np.testing.assert_array_equal(features.xy[rows], getattr(found.sets[0], f"x{column}"))
+        assert rows.max() > len(np.unique(features.xy, axis=0)) - 1  # rows of features, not of locations
     without = epiprior.rank_matches(None, None, features1=own[0], features2=own[1], model=model)
     top = without.sets[0].take(slice(0, 100))
     assert (np.abs(top.x1[:, 1] - top.x2[:, 1]) < 2).mean() > 0.9

@@ -40,8 +40,8 @@ def _nearest_set(prepared: PreparedPair, rows: IntArray) -> MatchSet:
         scale2=f2.scale[to],
         orientation1_deg=f1.orientation_deg[rows],
         orientation2_deg=f2.orientation_deg[to],
-        feature1=prepared.locations[0].of_feature[rows],
-        feature2=prepared.locations[1].of_feature[to],
+        feature1=prepared.locations[0].first_twin(rows),
+        feature2=prepared.locations[1].first_twin(to),
         probability=np.full(n, np.nan),
         supporting_matrices=np.zeros(n, np.int64),
         distance_ratio=forward.distance_ratio[rows],
@@ -53,8 +53,8 @@ def _nearest_set(prepared: PreparedPair, rows: IntArray) -> MatchSet:
 
 
 def standard_matches(
-    image1: View,
-    image2: View,
+    image1: View | None,
+    image2: View | None,
     *,
     features: FeatureSettings | None = None,
     max_distance_ratio: float = 0.9,
@@ -65,8 +65,8 @@ def standard_matches(
 
     Parameters
     ----------
-    image1, image2 : path, ndarray or Photograph
-        The photographs.
+    image1, image2 : path, ndarray, Photograph or None
+        The photographs; None only where features are handed in.
     features : FeatureSettings, optional
         The paper's by default: plain SIFT, normalised cross-correlation.
     max_distance_ratio : float
@@ -87,8 +87,8 @@ def standard_matches(
 
 
 def snn_matches(
-    image1: View,
-    image2: View,
+    image1: View | None,
+    image2: View | None,
     *,
     max_distance_ratio: float = 0.85,
     features1: Features | None = None,
@@ -98,8 +98,8 @@ def snn_matches(
 
     Parameters
     ----------
-    image1, image2 : path, ndarray or Photograph
-        The photographs.
+    image1, image2 : path, ndarray, Photograph or None
+        The photographs; None only where features are handed in.
     max_distance_ratio : float
         Matches below it are kept. The ratio is of Euclidean distances of the descriptors, as users of this baseline
         compute it.
@@ -117,8 +117,8 @@ def snn_matches(
 
 
 def generalized_matches(
-    image1: View,
-    image2: View,
+    image1: View | None,
+    image2: View | None,
     *,
     ncc_threshold: float = 0.85,
     max_candidates: int = 5,
@@ -131,8 +131,8 @@ def generalized_matches(
 
     Parameters
     ----------
-    image1, image2 : path, ndarray or Photograph
-        The photographs.
+    image1, image2 : path, ndarray, Photograph or None
+        The photographs; None only where features are handed in.
     ncc_threshold : float
         Lowest normalised cross-correlation of two descriptors, in (-1, 1).
     max_candidates : int
@@ -171,7 +171,7 @@ def generalized_matches(
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
     rows, to, similarity = _candidates(*prepared.descriptors, ncc_threshold, max_candidates)
     f1, f2 = prepared.features
-    feature1, feature2 = prepared.locations[0].of_feature[rows], prepared.locations[1].of_feature[to]
+    feature1, feature2 = prepared.locations[0].first_twin(rows), prepared.locations[1].first_twin(to)
     rivals = np.maximum(
         np.bincount(feature1, minlength=1)[feature1] if len(rows) else np.ones(0),
         np.bincount(feature2, minlength=1)[feature2] if len(rows) else np.ones(0),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from epiprior.captions import INK, PAPER, Colour, Picture, draw_header, draw_label, probability_colours
 from epiprior.errors import FeatureError, ImageError, SettingsError
-from epiprior.features import Image
+from epiprior.features import Image, read_image
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray, MatchSet
 
 # Eight hues that stay apart on a darkened photograph, also for the colour-blind (after Okabe and Ito).
@@ -156,19 +156,7 @@ def _read_rgb(image: Image) -> Picture:
                 "expected uint8 of shape (H, W) or (H, W, 3) RGB, not empty"
             )
         return np.ascontiguousarray(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2))
-    path = Path(image)
-    if not path.is_file():
-        raise ImageError(f"{path}: no such image file")
-    try:
-        data = np.fromfile(path, dtype=np.uint8)
-        bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-    except OSError as error:
-        raise ImageError(f"{path}: cannot be read: {error.strerror}") from error
-    except cv2.error:
-        bgr = None
-    if bgr is None:
-        raise ImageError(f"{path}: not an image that OpenCV can read")
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(read_image(Path(image), cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 def _lay_out(image1: Picture, image2: Picture, largest: int) -> tuple[tuple[_Panel, _Panel], tuple[int, int]]:

@@ -136,17 +136,31 @@ def load_photograph(image: View, max_image_size: int = 1024) -> Photograph:
                 f"a photograph of {image.grey.shape[::-1]} was not loaded at max_image_size {max_image_size}"
             )
         return image
-    grey = _read_grey(Path(image)) if isinstance(image, str | Path) else _grey_of_array(image)
+    if isinstance(image, str | Path):
+        grey = read_image(Path(image), cv2.IMREAD_GRAYSCALE)
+    else:
+        grey = _grey_of_array(image)
     height, width = grey.shape
-    longer = max(height, width)
-    if longer > max_image_size:
-        ratio = max_image_size / longer
-        size = (max(1, round(width * ratio)), max(1, round(height * ratio)))
+    size = working_size((width, height), max_image_size)
+    if size != (width, height):
         grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return Photograph(np.ascontiguousarray(grey), (width, height))
 
 
-def _read_grey(path: Path) -> NDArray[np.uint8]:
+def working_size(size: tuple[int, int], max_image_size: int = 1024) -> tuple[int, int]:
+    """Return the size at which an image of a size (width, height) is worked on."""
+    ratio = min(1.0, max_image_size / max(size))
+    return max(1, round(size[0] * ratio)), max(1, round(size[1] * ratio))
+
+
+def blank_photograph(size: tuple[int, int], max_image_size: int = 1024) -> Photograph:
+    """Return a photograph of a size (width, height) without an image, for its change of coordinates."""
+    width, height = working_size(size, max_image_size)
+    return Photograph(np.broadcast_to(np.uint8(0), (height, width)), size)
+
+
+def read_image(path: Path, flags: int) -> NDArray[np.uint8]:
+    """Read an image as OpenCV does with `flags`; an `ImageError` names a file that is missing or no image."""
     try:
         if not path.is_file():
             raise ImageError(f"{path}: is a folder, not an image" if path.is_dir() else f"{path}: no such image file")
@@ -154,12 +168,12 @@ def _read_grey(path: Path) -> NDArray[np.uint8]:
     except OSError as error:
         raise ImageError(f"{path}: cannot be read: {error.strerror}") from error
     try:
-        grey = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+        pixels = cv2.imdecode(data, flags) if data.size else None
     except cv2.error:
-        grey = None
-    if grey is None:
+        pixels = None
+    if pixels is None:
         raise ImageError(f"{path}: not an image that OpenCV can read")
-    return np.asarray(grey, dtype=np.uint8)
+    return np.asarray(pixels, dtype=np.uint8)
 
 
 def _grey_of_array(image: Any) -> NDArray[np.uint8]:

@@ -89,6 +89,10 @@ class Locations:
     def __len__(self) -> int:
         return len(self.first)
 
+    def first_twin(self, features: IntArray) -> IntArray:
+        """Return the first feature at the location of each of some `features`: what matches name it by."""
+        return self.first[self.of_feature[features]]
+
 
 def locate(features: Features, xy: FloatArray, factor: float) -> Locations:
     """Group `features`; `xy` are their working pixels, `factor` the given pixels per working pixel."""

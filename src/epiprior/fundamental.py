@@ -9,10 +9,10 @@ from typing import get_args
 from epiprior import preprocess as preprocessing
 from epiprior.baselines import generalized_matches, standard_set
 from epiprior.cascade import CascadeRule, load_cascade_rule
-from epiprior.errors import SettingsError
+from epiprior.errors import ImageError, SettingsError
 from epiprior.estimate import estimate_from_matches
 from epiprior.estimators import find_estimator
-from epiprior.features import Image, load_photograph
+from epiprior.features import Image, blank_photograph, load_photograph
 from epiprior.handover import HandOver, load_hand_overs
 from epiprior.mode import Mode
 from epiprior.pair import prepare_pair
@@ -24,8 +24,8 @@ _OWN_CANDIDATES = "generalized-ransac"
 
 
 def estimate_fundamental(
-    image1: Image,
-    image2: Image,
+    image1: Image | None,
+    image2: Image | None,
     *,
     estimator: str = "epiprior",
     mode: Mode | None = None,
@@ -33,6 +33,8 @@ def estimate_fundamental(
     preset: str = "default",
     seed: int = 0,
     threshold_px: float | None = None,
+    features1: Features | None = None,
+    features2: Features | None = None,
     ranked: RankedMatches | None = None,
     hand_over: HandOver | None = None,
     rule: CascadeRule | None = None,
@@ -41,8 +43,9 @@ def estimate_fundamental(
 
     Parameters
     ----------
-    image1, image2 : path or ndarray
-        The photographs: a file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB.
+    image1, image2 : path, ndarray or None
+        The photographs: a file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB. None only where features
+        are handed in, see `rank_matches`.
     estimator : str
         Name of a robust estimator, see `epiprior.estimators`; by default the one that did best.
     mode : str, optional
@@ -59,6 +62,8 @@ def estimate_fundamental(
     threshold_px : float, optional
         Inlier threshold, instead of the hand-over's. Like all thresholds it is meant at working size: an
         image larger than the preset's `max_image_size` (1024) is measured as if it had that size.
+    features1, features2 : Features, optional
+        Used instead of detected ones, pixels of the images as given.
     ranked : RankedMatches, optional
         From an earlier `rank_matches` on these images, to save the time.
     hand_over : HandOver, optional
@@ -92,6 +97,7 @@ def estimate_fundamental(
         raise SettingsError("hand_over is for one input, but mode 'cascade' has two")
     request = _Request(
         images=(image1, image2),
+        features=(features1, features2),
         estimator=estimator,
         settings=find_preset(preset),
         seed=seed,
@@ -104,6 +110,12 @@ def estimate_fundamental(
     if chosen == "standard":
         return request.on_standard()[0]
     return request.cascade(rule or load_cascade_rule())
+
+
+def _size_of(image: Image | None) -> tuple[int, int]:
+    if image is None:
+        raise ImageError("an image is None, and the ranked matches do not know its size")
+    return load_photograph(image).size
 
 
 def _chosen_mode(mode: Mode | None, preprocess: bool | None) -> Mode:
@@ -121,7 +133,8 @@ def _chosen_mode(mode: Mode | None, preprocess: bool | None) -> Mode:
 class _Request:
     """What `estimate_fundamental` was asked for; each method answers on one input."""
 
-    images: tuple[Image, Image]
+    images: tuple[Image | None, Image | None]
+    features: tuple[Features | None, Features | None]
     estimator: str
     settings: PreprocessSettings
     seed: int
@@ -134,23 +147,23 @@ class _Request:
         if self.estimator == _OWN_CANDIDATES:
             watch = Stopwatch()
             with watch.step("generalized matches"):
-                candidates = generalized_matches(*self.images)
+                first, second = self.features
+                candidates = generalized_matches(*self.images, features1=first, features2=second)
             return self._estimate("generalized", [candidates], watch.seconds), None
         if self.ranked is not None:
             return self._estimate("standard", [self.ranked.standard], {}), None
         paper, watch = find_preset("paper"), Stopwatch()
-        prepared = prepare_pair(*self.images, paper, watch=watch)
+        first, second = self.features
+        prepared = prepare_pair(*self.images, paper, features1=first, features2=second, watch=watch)
         return self._estimate("standard", [standard_set(prepared, paper)], watch.seconds), prepared.features
 
-    def on_ranked(self, features: tuple[Features, Features] | None = None) -> FundamentalEstimate:
-        """Return the estimate on ranked matches, of the given features where the preset would find the same."""
+    def on_ranked(self, found: tuple[Features, Features] | None = None) -> FundamentalEstimate:
+        """Return the estimate on ranked matches, of features `found` before where the preset would find the same."""
         name = self.settings.name
         ranked = self.ranked
-        if ranked is None and features is not None and self._finds_the_same():
-            first, second = features
+        if ranked is None:
+            first, second = found if found is not None and self._finds_the_same() else self.features
             ranked = preprocessing.rank_matches(*self.images, preset=name, features1=first, features2=second)
-        elif ranked is None:
-            ranked = preprocessing.rank_matches(*self.images, preset=name)
         return self._estimate(name, ranked.sets, ranked.seconds)
 
     def cascade(self, rule: CascadeRule) -> FundamentalEstimate:
@@ -171,8 +184,9 @@ class _Request:
         how = self.hand_over or load_hand_overs()[self.estimator][kind]
         if self.threshold_px is not None:
             how = replace(how, threshold_px=self.threshold_px)
+        sizes = sets[0].image_sizes or (_size_of(self.images[0]), _size_of(self.images[1]))
         limit = self.settings.features.max_image_size
-        factor1, factor2 = (load_photograph(image, limit).factor for image in self.images)
+        factor1, factor2 = (blank_photograph((round(w), round(h)), limit).factor for w, h in sizes)
         found = estimate_from_matches(
             sets, estimator=self.estimator, seed=self.seed, hand_over=how, pixel_factors=(factor1, factor2)
         )

@@ -1,4 +1,4 @@
-"""Fundamental matrices from points, Sampson distances, and tests for degenerate configurations.
+"""Fundamental matrices from points, and Sampson distances.
 
 Conventions: ``x1, x2`` are ``(N, 2)`` float64 pixels; ``x2' F x1 = 0``; residuals are unsquared pixels.
 References: Hartley and Zisserman, Multiple View Geometry, 2nd ed., chapter 11 (eight points: 11.2; Sampson: 11.4.3).

@@ -236,8 +236,9 @@ def load_model(name_or_path: str | Path, *, threads: int = 1) -> RankingModel:
     if not folder.is_dir():
         raise ModelError(f"{folder}: no such folder")
     path = folder / MANIFEST
+    content = _read(path)
     try:
-        manifest = json.loads(_read(path))
+        manifest = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise ModelError(f"{path}: not JSON: {error}") from error
     if not isinstance(manifest, dict) or manifest.get("schema_version") != SCHEMA_VERSION:

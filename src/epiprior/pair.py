@@ -17,6 +17,7 @@ from epiprior.features import (
     FeatureSettings,
     Photograph,
     View,
+    blank_photograph,
     detect_features,
     load_photograph,
     normalise_descriptors,
@@ -131,7 +132,11 @@ def prepare_pair(
             unit_descriptors(own2.descriptors, settings.features),
         )
         forward, backward = nearest_neighbours(*descriptors)
-        working = (_working(own1, photo1, settings), _working(own2, photo2, settings))
+        limit = settings.features.max_image_size
+        working = (
+            photo1 or blank_photograph(own1.image_size, limit),
+            photo2 or blank_photograph(own2.image_size, limit),
+        )
         locations = (_locate(own1, working[0]), _locate(own2, working[1]))
         of = (locations[0].of_feature, locations[1].of_feature)
         table = standard_table(forward, backward, of, settings.max_distance_ratio)
@@ -150,16 +155,6 @@ def prepare_pair(
 def unit_descriptors(descriptors: Float32Array, settings: FeatureSettings) -> Float32Array:
     """Return descriptors normalised as the settings say."""
     return normalise_descriptors(descriptors, root=settings.root, centred=settings.centred)
-
-
-def _working(features: Features, photograph: Photograph | None, settings: PreprocessSettings) -> Photograph:
-    """Return the photograph, or a blank one of the right sizes, for its change of coordinates."""
-    if photograph is not None:
-        return photograph
-    width, height = features.image_size
-    ratio = min(1.0, settings.features.max_image_size / max(width, height))
-    blank = np.empty((max(1, round(height * ratio)), max(1, round(width * ratio))), np.uint8)
-    return Photograph(blank, features.image_size)
 
 
 def _locate(features: Features, working: Photograph) -> Locations:

@@ -172,9 +172,9 @@ def _collect(index, distance, xy, scale, label, members, cluster_start, k1, k2, 
         for q in range(index.shape[1]):
             if distance[i, q] <= 1e-6:
                 continue
-            flag = 1 if rank < k1 else 0
+            flag = NEAREST if rank < k1 else 0
             if distance[i, q] <= k2 * scale[i] and rank < max_within:
-                flag |= 2
+                flag |= WITHIN
             rank += 1
             if flag == 0:
                 break
@@ -186,10 +186,10 @@ def _collect(index, distance, xy, scale, label, members, cluster_start, k1, k2, 
                 known = False
                 for e in range(first, end):
                     if neighbour[e] == j:
-                        rule[e] |= 4
+                        rule[e] |= SAME_CLUSTER
                         known = True
                 if not known:
-                    neighbour[end], rule[end] = j, 4
+                    neighbour[end], rule[end] = j, SAME_CLUSTER
                     end += 1
         order = np.argsort(neighbour[first:end], kind="mergesort")
         neighbour[first:end] = neighbour[first:end][order]

@@ -128,7 +128,8 @@ class MatchSet:
     orientation1_deg, orientation2_deg : ndarray, shape (N,), float64
         Orientation of both features, degrees.
     feature1, feature2 : ndarray, shape (N,), int64
-        Index of the matched features; a feature may take part in many matches.
+        Index of the matched features, as found or handed in; a feature may take part in many matches. Features that
+        differ only in orientation are one: all have the index of the first.
     probability : ndarray, shape (N,), float64
         Probability that the match is right, in [0, 1]. For standard matches, which carry none, it is NaN.
     supporting_matrices : ndarray, shape (N,), int64

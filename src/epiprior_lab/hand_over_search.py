@@ -33,11 +33,12 @@ Coordinates = list[tuple[str, tuple[Any, ...]]]
 SUCCESS_PX = 10.0
 STRICT_PX = 3.0
 
-# What is varied after the cut of the ranking, in this order. Nothing that the paper does not print for `paper`.
+# What is varied after the cut of the ranking, in this order. Nothing that the paper does not print for `paper`; no
+# spread where a ratio cuts, since it is a share of top_k.
 _VARIED = {
-    "standard": ("max_distance_ratio", "threshold_px", "one_to_one", "refine"),
-    "snn": ("max_distance_ratio", "threshold_px", "one_to_one", "refine"),
-    "generalized": ("top_k", "threshold_px", "one_to_one", "refine"),
+    "standard": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
+    "snn": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
+    "generalized": ("top_k", "threshold_px", "one_to_one", "refine", "collect"),
     "paper": ("top_k", "min_probability", "threshold_px", "one_to_one"),
     "default": ("top_k", "min_probability", "threshold_px", "refine", "collect", "spread", "one_to_one"),
 }

@@ -371,7 +371,7 @@ def test_every_input_is_searched_by_what_matters_for_it():
     assert varied("usac", "default")["top_k"] == PARAMS.top_k
     assert varied("generalized-ransac", "generalized")["top_k"] == (300, 2000)
     for name in ("standard", "snn"):
-        assert {"max_distance_ratio", "threshold_px", "one_to_one", "refine"} == varied("usac", name).keys()
+        assert {"max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"} == varied("usac", name).keys()
 
 
 def test_score_counts_both_thresholds_alike_then_the_area():

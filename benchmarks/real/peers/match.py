@@ -27,7 +27,10 @@ def ratios(first, second):
 
 
 def adalam(first, second, _, ratio):
-    """AdaLAM as kornia has it, with its own settings; ordered by its confidence, then by the ratio."""
+    """AdaLAM as kornia has it, with its own settings; ordered by the ratio.
+
+    Its confidence puts all matches of one seed first; on photographs the ratio ranks them better, to the peer's favour.
+    """
     frames = [
         kf.laf_from_center_scale_ori(
             torch.from_numpy(f["xy"]).float()[None],
@@ -38,9 +41,9 @@ def adalam(first, second, _, ratio):
     ]
     descriptors = [torch.from_numpy(f["descriptors"]).float() for f in (first, second)]
     sizes = [tuple(int(side) for side in f["size"][::-1]) for f in (first, second)]
-    inverse_confidence, rows = kf.match_adalam(*descriptors, *frames, hw1=sizes[0], hw2=sizes[1])
+    _, rows = kf.match_adalam(*descriptors, *frames, hw1=sizes[0], hw2=sizes[1])
     rows = rows.numpy()
-    return rows[np.lexsort((ratio[rows[:, 0]], inverse_confidence.numpy().ravel()))]
+    return rows[np.argsort(ratio[rows[:, 0]], kind="stable")]
 
 
 def gms(first, second, nearest, ratio):

@@ -38,14 +38,6 @@ class Conditioned:
         pixels: FloatArray = T2.T @ F @ T1
         return pixels
 
-    def from_pixels(self, F: FloatArray) -> FloatArray:
-        """Return F of pixels, shape (3, 3) or (K, 3, 3), for conditioned coordinates, at unit norm."""
-        u = self.unit_px
-        S1, S2 = (np.array([[u, 0, c[0]], [0, u, c[1]], [0, 0, 1]]) for c in (self.centre1, self.centre2))
-        G: FloatArray = S2.T @ F @ S1
-        G /= np.linalg.norm(G, axis=(-2, -1), keepdims=True)
-        return np.ascontiguousarray(G)
-
 
 def condition(matches: MatchSet) -> Conditioned:
     """Centre the matches in both images and divide by one length, the mean spread of both, for the solvers."""

@@ -1,4 +1,8 @@
-"""Guided MLESAC: samples by the matches' probabilities and scores by the likelihood under them."""
+"""Guided MLESAC: samples by the matches' probabilities and scores by the likelihood under them.
+
+After Tordoff and Murray, Guided-MLESAC, TPAMI 2005, as we recall it: seven matches drawn by their probability v, score
+sum log(v p_in(r) + (1 - v) / w). Local optimisation and the oriented constraint are ours.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +11,7 @@ from epiprior.estimators.own import LoopEstimator
 from epiprior.estimators.ratio_prior import probability_or_ratio_prior
 from epiprior.estimators.scores import LIKELIHOOD
 
-# Seven matches drawn by their probability v, score sum log(v p_in(r) + (1 - v) / w), after Tordoff and Murray
-# (Guided-MLESAC, TPAMI 2005), as we recall it; local optimisation and the oriented constraint are ours. It needs
-# calibrated probabilities: without preprocessing they come from the distance ratio (`epiprior.estimators.ratio_prior`).
+# It needs calibrated probabilities: without preprocessing they come from the distance ratio.
 ESTIMATORS = (
     LoopEstimator(
         name="guided-mlesac",

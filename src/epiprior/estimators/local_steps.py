@@ -2,8 +2,8 @@
 
 Conventions as in `epiprior.estimators.solvers` and `epiprior.estimators.scores`.
 
-References: LO-RANSAC: Chum, Matas and Kittler, DAGM 2003 (inner samples, shrinking threshold); joint feature
-distributions: Triggs, ICCV 2001 (as we recall it).
+References, as we recall them: LO-RANSAC: Chum, Matas and Kittler, DAGM 2003 (inner samples of up to 14 matches,
+shrinking threshold); joint feature distributions: Triggs, ICCV 2001.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from numbers import Integral
 
 import numpy as np
 
@@ -107,11 +108,11 @@ def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSetti
     FeatureError
         If points are not finite or their numbers disagree.
     SettingsError
-        If the seed is negative.
+        If the seed is negative or no integer.
     """
     estimator = find_estimator(name)
-    if seed < 0:
-        raise SettingsError(f"seed is {seed}, expected at least 0")
+    if not isinstance(seed, Integral) or seed < 0:
+        raise SettingsError(f"seed is {seed!r}, expected an integer, at least 0")
     distinct = _distinct(_checked(matches))
     start = time.perf_counter()
     count = distinct_count(distinct.x1, distinct.x2)

@@ -14,7 +14,7 @@ import numpy as np
 
 from epiprior.estimators.small_algebra import det3, epipoles
 
-# Whichever five of the seven matches lie on a plane, one of these triplets is among them (CVPR 2005).
+# Whichever five of the seven matches lie on a plane, one of these triplets is among them (CVPR 2005, as we recall it).
 _TRIPLETS = np.array([[0, 1, 2], [3, 4, 5], [0, 1, 6], [3, 4, 6], [2, 5, 6]])
 
 

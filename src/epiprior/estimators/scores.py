@@ -77,14 +77,6 @@ def score(F, columns, gain, rest, kind, sigma, limit, floor, work):  # type: ign
 
 
 @numba.njit(cache=True, nogil=True)
-def score_many(models, columns, gain, rest, kind, sigma, limit, out):  # type: ignore[no-untyped-def]
-    """Write the scores of many F, shape (K, 3, 3), to `out`, without bail-out."""
-    work = np.empty((2, BLOCK))
-    for k in range(len(models)):
-        out[k] = score(models[k], columns, gain, rest, kind, sigma, limit, -np.inf, work)
-
-
-@numba.njit(cache=True, nogil=True)
 def squared_residuals(F, columns, out):  # type: ignore[no-untyped-def]
     """Write the squared Sampson distances of all matches to `out`; inf where they are undefined."""
     gradient_sq = np.empty(len(out))

@@ -14,7 +14,7 @@ FIT_PX = 3.0
 _MARGIN_PX = 2.0  # reprojected and hand-made points may lie a little outside
 
 
-def check_pair(pair: Pair, sizes: tuple[tuple[int, int], tuple[int, int]]) -> None:
+def check_pair(pair: Pair, sizes: tuple[tuple[int, int], tuple[int, int]], where: str) -> None:
     """Check that the control points of a pair, if any, lie in their images and fit what else is given.
 
     Parameters
@@ -23,13 +23,15 @@ def check_pair(pair: Pair, sizes: tuple[tuple[int, int], tuple[int, int]]) -> No
         Its control points and matrices are read.
     sizes : tuple of tuple of int
         (width, height) of both images.
+    where : str
+        The row of the pair, for messages: file and line.
 
     Raises
     ------
     DatasetError
         If a control point lies more than 2 px outside its image, or the median distance of the control points to what
         the cameras, a given F or a given homography say is above 3 px: points of other pixels, or images in another
-        order. The message names the file, and the line of a single point.
+        order. The message names the file and line: of the point, or of the pair.
     """
     if pair.control_points_path is None:
         return
@@ -46,7 +48,7 @@ def check_pair(pair: Pair, sizes: tuple[tuple[int, int], tuple[int, int]]) -> No
     distance, what = _distances(pair, *points)
     if len(distance) and not np.median(distance) <= FIT_PX:
         raise DatasetError(
-            f"{path}: {what} of pair {pair.pair_id!r} does not fit its control points: median distance "
+            f"{where}: {what} of pair {pair.pair_id!r} does not fit its control points {path}: median distance "
             f"{np.median(distance):.1f} px, at most {FIT_PX:g} allowed"
         )
 

@@ -146,7 +146,7 @@ class _Reader:
         # Damage is found here, not after hours of work.
         pair.homography()
         pair.fundamental()
-        check_pair(pair, (self.sizes[names[0]], self.sizes[names[1]]))
+        check_pair(pair, (self.sizes[names[0]], self.sizes[names[1]]), where)
         return pair
 
     def _check_image(self, name: str, camera: Camera | None, with_cameras: bool, where: str) -> None:
