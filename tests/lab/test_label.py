@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
@@ -483,6 +484,29 @@ def test_the_command_opens_the_browser_and_continues_a_file(session, images, tmp
     assert opened[0] in result.output
     assert f"{session.out}: continues 3 points" in result.output
     assert result.output.rstrip().endswith(f"{session.out}: 3 points")
+
+
+def test_without_out_the_file_is_named_after_the_pair_and_lies_here(images, tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setattr(LabelServer, "serve", lambda _: None)
+    found = CliRunner().invoke(app, ["label", *map(str, images), "--no-browser"])
+    assert found.exit_code == 0, found.output
+    assert found.output.startswith(f"Points are saved to {here / 'a-b.csv'}\n")
+    session = LabelSession(*images, Path("a-b.csv"))
+    session.save(POINTS, session.state()["revision"])
+    again = CliRunner().invoke(app, ["label", *map(str, images), "--no-browser"])
+    assert again.output.startswith("a-b.csv: continues 3 points\n")
+
+    # The same names elsewhere are another pair: what is there stays.
+    before = (here / "a-b.csv").read_bytes()
+    (tmp_path / "others").mkdir()
+    others = [str(save(tmp_path / "others" / path.name, texture(90, 70, seed=5 + k))) for k, path in enumerate(images)]
+    refused = CliRunner().invoke(app, ["label", *others, "--no-browser"])
+    assert isinstance(refused.exception, LabelError)
+    assert "a-b.csv" in str(refused.exception)
+    assert (here / "a-b.csv").read_bytes() == before
 
 
 def test_an_error_of_the_command_is_one_line(images, tmp_path):

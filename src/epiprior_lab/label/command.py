@@ -13,7 +13,10 @@ import typer
 def label(
     image1: Annotated[Path, typer.Argument(metavar="A", help="First image.", show_default=False)],
     image2: Annotated[Path, typer.Argument(metavar="B", help="Second image.", show_default=False)],
-    out: Annotated[Path, typer.Option(help="File of control points; continued where it exists.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="File of control points; continued where it exists.", show_default="A-B.csv in this folder"),
+    ] = None,
     port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Start anew over another pair's or a damaged file.")] = False,
@@ -22,10 +25,10 @@ def label(
     from epiprior_lab.label.server import LabelServer
     from epiprior_lab.label.session import LabelSession
 
+    out = out or Path(f"{image1.stem}-{image2.stem}.csv")
     session = LabelSession(image1, image2, out, force=force)
     known = session.count()
-    if known:
-        typer.echo(f"{out}: continues {_points(known)}")
+    typer.echo(f"{out}: continues {_points(known)}" if known else f"Points are saved to {out.absolute()}")
     with LabelServer(session, port) as server:
         typer.echo(f"Label at {server.url}")
         typer.echo("End with the page's Done, or Ctrl+C here (what the page did not save is lost).")
