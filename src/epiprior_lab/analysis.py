@@ -216,14 +216,13 @@ def _oracles(bench: Bench, proposals: Proposals, ours: Mapping[str, list[Row]]) 
     }
     for name, F in best.items():
         rows += [{"variant": name, **row} for row in bench.known(F)]
-    among_x = [_in_x(found, each) for found, each in zip(proposals.candidates, bench.whole, strict=True)]
+    among_x = [_in_x(proposals, found, each) for found, each in zip(proposals.candidates, bench.whole, strict=True)]
     limit = {
         "matches": max(len(each.matches) for each in bench.whole),
         "right_one_to_one": max(len(each.right_one_to_one) for each in bench.whole),
         "right_one_to_one_in_x": max(len(each.right_one_to_one) for each in among_x),
         "rough_matrices": sum(len(each.matches.rough_matrices) for each in bench.whole),
         "good_rough_matrices": _good_rough(bench),
-        "score_of_truth": bench.score(best["right matches, refined on all"]),
     }
     return [{"ranking": "final", **row} for row in rows], limit
 
@@ -238,11 +237,15 @@ def _good_rough(bench: Bench) -> int:
     return sum(int(np.count_nonzero(e < bench.settings.success_px)) for e in errors)
 
 
-def _in_x(candidates: Candidates, labelled: oracles.Labelled) -> oracles.Labelled:
+def _in_x(proposals: Proposals, candidates: Candidates, labelled: oracles.Labelled) -> oracles.Labelled:
     """Return the matches of X, without those that only X_L or X_B proposed."""
     X, matches = candidates.X, labelled.matches
-    width = 1 + int(max(X.feature2.max(initial=0), matches.feature2.max(initial=0)))
-    inside = np.isin(matches.feature1 * width + matches.feature2, X.feature1 * width + X.feature2)
+    # X counts locations, a set the first feature of each.
+    x1, x2 = (
+        place.first[rows] for place, rows in zip(proposals.prepared.locations, (X.feature1, X.feature2), strict=True)
+    )
+    width = 1 + int(max(x2.max(initial=0), matches.feature2.max(initial=0)))
+    inside = np.isin(matches.feature1 * width + matches.feature2, x1 * width + x2)
     return replace(labelled, matches=matches.take(inside), right=labelled.right[inside])
 
 

@@ -269,7 +269,6 @@ def made_up(rates):
             {
                 "family": "hard", "pair_id": f"p{i}", "scene": f"s{i}", "matches": 100, "right_one_to_one": 12,
                 "right_one_to_one_in_x": 6 + 4 * i, "rough_matrices": 200, "good_rough_matrices": 10 * i,
-                "score_of_truth": 11.5,
             }
         )  # fmt: skip
     names = ["family", "pair_id", "scene", "variant", "ranking", "matches", "right"]
@@ -294,13 +293,54 @@ def test_where_successes_are_lost():
     at = lost.set_index(["threshold_px", "estimator"])
     assert list(at.index) == [(t, name) for t in (10.0, 0.5) for name in ("usac", "beem")]
     parts = ["chosen", "missed", "outscored", "hypothesis", "matches"]
-    # The F chosen for p1 has score 11, that of the truth 11.5.
+    # The F chosen for p1 has no more support than the right ones: the score is 11 for all.
     assert at.loc[(10.0, "usac"), parts].tolist() == pytest.approx([1.8, 0.6, 0, 1.0, 0.6])
     assert at.loc[(10.0, "beem"), parts].tolist() == pytest.approx([1, 2, 0, 1, 0])
     assert at.loc[(0.5, "usac"), parts].tolist() == [0, 0, 0, 0, 4]
     higher = made_up(RATES)
-    higher.results["score"] = 12.0
+    higher.results.loc[higher.results["variant"] == "default", "score"] = 12.0
     assert analysis_tables.lost_table(higher, (10.0,)).loc[0, parts].tolist() == pytest.approx([1.8, 0, 0.6, 1.0, 0.6])
+
+
+def test_only_an_f_that_is_right_at_the_threshold_is_the_truth():
+    """The fit to the right matches has much support and an error of 5 px: right below 10 px, wrong below 3 px."""
+    made = made_up(RATES)
+    oracle = made.results["variant"] == "right matches"
+    made.results.loc[oracle, ["score", "error_px"]] = [20.0, 5.0]
+    made.results.loc[made.results["variant"] == "default", "score"] = 12.0
+    lost = analysis_tables.lost_table(made, (10.0, 3.0)).set_index(["threshold_px", "estimator"])
+    assert lost.loc[(10.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0.6, 0])
+    assert lost.loc[(3.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0, 0.6])
+
+
+def differences(*rows):
+    """Return rows of a table of successes of 8 pairs below 10 px: variant, ranking, difference and its interval."""
+    names = ("variant", "ranking", "difference", "difference_low", "difference_high")
+    at = {"family": "hard", "threshold_px": 10.0, "pairs": 8}
+    return pd.DataFrame([at | dict(zip(names, row, strict=True)) for row in rows])
+
+
+def test_the_page_says_where_the_whole_is_below_a_part():
+    table = differences(
+        ("standard", "lowe", 0.4, -1.0, 2.0), ("sfm", "sfm", 1.8, 0.4, 3.0), ("single F", "none", 1.0, 0.5, 2.0),
+        ("2keypoint", "2keypoint", 4e-16, 0.0, 1.0), ("paper", "final", np.nan, np.nan, np.nan),
+    )  # fmt: skip
+    text = analysis_page._steps_read(table)
+    assert "in the mean: *standard input (X_L)* on hard (10 px); *sfm alone* on hard (10 px)." in text
+    assert text.endswith("excludes zero: sfm alone on hard below 10 px, +1.8 [+0.4, +3.0].")
+    assert "single" not in text
+    assert "Nor are they below" in analysis_page._steps_read(differences(("sfm", "sfm", -1.0, -2.0, 1.0)))
+
+
+def test_the_page_says_which_variants_differ():
+    table = differences(
+        ("default", "final", np.nan, np.nan, np.nan), ("K_2kp 50", "final", -0.6, -1.2, -0.2),
+        ("frames of SIFT", "final", 0.5, 4e-15, 1.0), ("K_2kp 50", "sfm", 0.5, -0.2, 1.0),
+    )  # fmt: skip
+    text = analysis_page._ablations_read(table)
+    assert "Of the 2 differences ranked by final, this one has an interval that excludes zero: K_2kp 50 on hard" in text
+    assert "Of the 1 differences ranked by sfm, none has" in text
+    assert "With 8 pairs" in text
 
 
 def test_successes_and_their_references():

@@ -10,10 +10,22 @@ import pytest
 import yaml
 from matplotlib.figure import Figure
 
+from epiprior.cascade import CascadeRule
 from epiprior_lab import overhead
-from epiprior_lab.params import BoundParams, ReportParams
-from epiprior_lab.reports import bounds, html, performance, report, study, style, timing_figures, wording
-from epiprior_lab.statistics import paired_bootstrap
+from epiprior_lab.cascade_rule import LearntRule
+from epiprior_lab.params import BoundParams, CascadeParams, ReportParams
+from epiprior_lab.reports import (
+    bounds,
+    cascade_tables,
+    html,
+    performance,
+    report,
+    study,
+    style,
+    timing_figures,
+    wording,
+)
+from epiprior_lab.statistics import Interval, paired_bootstrap
 from synthetic_study import ESTIMATORS, FAMILIES, INPUTS, write_study
 
 ROOT = Path(__file__).parents[2]
@@ -116,8 +128,26 @@ def test_duels_are_paired_and_say_what_excludes_zero(root, written):
     spread = paired_bootstrap(np.zeros(12), difference, draws=4000, seed=99, groups=scenes).difference
     assert row["difference_low"] == pytest.approx(12 * spread.low, abs=1.0)
     assert row["difference_high"] == pytest.approx(12 * spread.high, abs=1.0)
-    verdicts = np.where(table["difference_low"] > 0, "better", np.where(table["difference_high"] < 0, "worse", "open"))
-    assert (table["verdict"] == verdicts).all()
+    better, worse = table["difference_low"] > 1e-9, table["difference_high"] < -1e-9
+    assert (table["verdict"] == np.where(better, "better", np.where(worse, "worse", "open"))).all()
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (4e-15, 0.2, "open"),
+        (-0.2, -4e-15, "open"),
+        (0.0, 0.2, "open"),
+        (1e-6, 0.2, "better"),
+        (-0.2, -1e-6, "worse"),
+    ],
+)
+def test_an_interval_that_touches_zero_but_for_rounding_decides_nothing(low, high, expected):
+    interval = Interval(value=(low + high) / 2, low=low, high=high)
+    assert performance.verdict(interval) == expected
+    cells = performance.interval_cells("difference", interval, 40.0)
+    ends = (cells["difference_low"], cells["difference_high"])
+    assert ends == tuple(0.0 if abs(end) < 1e-9 else 40 * end for end in (low, high))
 
 
 def test_an_absent_champion_is_named(root):
@@ -190,7 +220,10 @@ def test_bounds_in_words():
     assert words[1]["bound"] == "no estimator loses more than 1 % on rolled, 10 px"
     assert words[1]["found"] == "2 of 2 keep to it; epiprior comes out lowest: 0 %"
     assert words[-1]["bound"] == "epiprior beats every other estimator on snn matches, open, 3 px"
-    assert words[-1]["found"] == "2 of 2 beaten; closest is rival-1: +3.0 [+0.1, +5.0] pairs"
+    assert (
+        words[-1]["found"]
+        == "2 of 2 beaten; closest is rival-1: +3.0 [+0.1, +5.0] pairs, at most +8.0 if it solved every pair"
+    )
 
 
 def test_bounds_of_what_was_not_measured_are_an_error():
@@ -255,12 +288,19 @@ def test_ranking_and_calibration_tables(root, written):
     assert table.loc[("default", "all", "final"), "precision_100"] == pytest.approx(
         rankings[chosen]["precision_100"].mean(), rel=1e-5
     )
+    share = (rankings[chosen & (rankings["family"] == "open")]["right"] >= 15).mean()
+    assert table.loc[("default", "open", "final"), "enough"] == pytest.approx(share, rel=1e-5)
     bins = pd.read_csv(root / "data" / "evaluation" / "open" / "calibration.csv")
     bins = bins[bins["preset"] == "paper"].groupby("bin").sum(numeric_only=True)
     error = sum(abs(b.probability - b.right) for b in bins.itertuples()) / bins["count"].sum()
     row = pd.read_csv(root / "reports" / "calibration.csv").set_index(["preset", "family"]).loc[("paper", "open")]
     assert row["expected_calibration_error"] == pytest.approx(error, rel=1e-5)
     assert row["brier_score"] == pytest.approx(bins["squared_error"].sum() / bins["count"].sum(), rel=1e-5)
+    stated = bins[bins.index >= 0.05 * len(bins)]
+    assert 0 < len(stated) < len(bins)
+    assert row["stated_matches"] == stated["count"].sum()
+    gaps = (stated["probability"] - stated["right"]).abs().sum()
+    assert row["stated_calibration_error"] == pytest.approx(gaps / stated["count"].sum(), rel=1e-5)
 
 
 def test_classifier_table_sets_honest_beside_leaking(root, written):
@@ -401,6 +441,52 @@ def test_time_by_outcome(tmp_path):
     assert rows.loc[("usac", "snn", "failure"), "longest"] == pytest.approx(0.6)
     assert rows.loc[("usac", "snn", "failure"), "runs"] == 4
     assert timing_figures.estimator_figure(table, tmp_path / "estimators.png").stat().st_size > 1000
+
+
+def test_means_of_few_runs_are_hollow(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(timing_figures, "save", lambda figure, path: figures.append(figure) or path)
+    runs = {"usac": 12, "prosac": 4}
+    table = pd.DataFrame(
+        {"estimator": name, "input": "snn", "outcome": "success", "runs": n, "mean": 0.02} for name, n in runs.items()
+    )
+    timing_figures.estimator_figure(table, tmp_path / "estimators.png")
+    axis = figures[0].axes[0]
+    assert [text.get_text() for text in axis.texts] == ["12", "4"]
+    marks = {line.get_ydata()[0]: line.get_markerfacecolor() for line in axis.lines if line.get_marker() == "D"}
+    assert (marks[1] == "white", marks[0] == "white") == (False, True)  # usac above prosac
+
+
+def made_up_cascade(spread):
+    """A rule and the tables of two estimators, of which the first loses most below 3 px, the second below 10 px."""
+    rule = CascadeRule(min_spread=spread, min_plausibility=0.9)
+    columns = ("preprocessed", "lost", "held_out_preprocessed", "held_out_lost")
+    outcomes = pd.DataFrame([[0.5, 0.01, 0.5, 0.01]] * 3, index=["usac", "prosac", "all"], columns=columns)
+    rows = [
+        {"split": split, "estimator": estimator, "family": "all", "threshold_px": threshold, "pairs": 40, "won": 0.0}
+        | {"without": 10.0, "always": 30.0, "cascade": 30.0 - lost, "lost": lost, "preprocessed": 0.5}
+        | {"change": -lost, "change_low": -lost, "change_high": 0.0}
+        for split, factor in (("validation", 5), ("test", 1))
+        for threshold, losses in ((10.0, (0.2, 1.0)), (3.0, (4.0, 2.0)))
+        for estimator, lost in zip(("usac", "prosac"), (factor * x for x in losses), strict=True)
+    ]
+    params = CascadeParams(
+        seeds=(0,), tolerance=0.01, strict_tolerance=0.04, min_spread=(0, 20), min_plausibility=(0.5, 0.9)
+    )
+    learnt = LearntRule(rule=rule, outcomes=outcomes)
+    return cascade_tables.cascade_markdown(pd.DataFrame(rows), learnt, params, (10.0, 3.0))
+
+
+def test_the_cascade_names_its_rule_and_who_loses_most():
+    text = made_up_cascade(20)
+    assert "largest losses are: prosac, 1.0 of 40 pairs below 10 px; usac, 4.0 of 40 pairs below 3 px." in text
+    assert "[timings/cascade.csv](timings/cascade.csv)" in text
+    assert "at least 20 cells" in text
+    assert "decides nothing" not in text
+    text = made_up_cascade(0)
+    assert "at least 0.9; otherwise" in text
+    assert "How far the inliers are spread decides nothing" in text
+    assert "cells of 48" not in text
 
 
 def test_style_leaves_global_settings_alone():

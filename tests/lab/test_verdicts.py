@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from epiprior_lab.reports import verdicts
 from epiprior_lab.reports.verdicts import (
     VERDICT_HEAD,
     study_verdicts,
@@ -65,3 +66,15 @@ def test_a_study_has_its_families_and_all(tmp_path):
     assert table[(table["group"] == "all") & (table["input"] == "all")]["right"].item() == 8
     paths = [verdict_figure(table, tmp_path / f"{name}.png") for name in "ab"]
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_the_tallest_bar_ends_below_the_top(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(verdicts, "save", lambda figure, path: figures.append(figure) or path)
+    runs = pd.concat([RUNS, RUNS.replace({"status": "degenerate"}, "ok")])  # two of six right F are turned down
+    verdict_figure(verdict_table({"open": runs}, 10.0), tmp_path / "v.png")
+    alarms, hits = figures[0].axes
+    tallest = max(bar.get_y() + bar.get_height() for bar in alarms.patches)
+    assert tallest == pytest.approx(50.0)
+    assert 1.1 * tallest < alarms.get_ylim()[1] <= 100
+    assert hits.get_ylim() == (0, 100)

@@ -11,15 +11,16 @@ import numpy as np
 import pandas as pd
 
 from epiprior.types import FloatArray
+from epiprior_lab.analysis_bench import NO_ESTIMATOR
+from epiprior_lab.reports.performance import interval_cells
 from epiprior_lab.reports.study import errors_of, order_of, read_table, success_rates
 from epiprior_lab.seeds import child_seed
-from epiprior_lab.statistics import Interval, bootstrap_mean, paired_bootstrap
+from epiprior_lab.statistics import bootstrap_mean, paired_bootstrap
 
 COLUMNS = {
     "results": "family pair_id scene experiment variant ranking estimator seed status error_px score",
     "rankings": "family pair_id scene variant ranking matches right precision_10 precision_100 average_precision",
-    "limits": "family pair_id scene matches right_one_to_one right_one_to_one_in_x rough_matrices "
-    "good_rough_matrices score_of_truth",
+    "limits": "family pair_id scene matches right_one_to_one right_one_to_one_in_x rough_matrices good_rough_matrices",
 }
 ENOUGH = (8, 15)  # right one-to-one matches: an F is decided; an F is found
 BEST_HYPOTHESIS = "best rough F, refined on all"
@@ -96,13 +97,12 @@ def success_table(analysis: Analysis, *, thresholds_px: Sequence[float], draws: 
             for key, rate in rates.items():
                 n = len(rate)
                 row: dict[str, Any] = {"threshold_px": threshold, "family": family, **dict(zip(_KEY, key, strict=True))}
-                row |= {"pairs": n} | cells(
-                    "successes", bootstrap_mean(rate, draws=draws, seed=child, groups=scenes), n
-                )
+                row["pairs"] = n
+                row |= interval_cells("successes", bootstrap_mean(rate, draws=draws, seed=child, groups=scenes), n)
                 reference = reference_of(key, analysis.estimator)
                 if reference in rates and reference != key:
                     got = paired_bootstrap(rates[reference], rate, draws=draws, seed=child, groups=scenes)
-                    row |= cells("difference", got.difference, n)
+                    row |= interval_cells("difference", got.difference, n)
                 rows.append(row)
     return pd.DataFrame(rows)
 
@@ -141,15 +141,6 @@ def reference_of(key: tuple[str, ...], main: str) -> tuple[str, ...]:
     return ("oracle", "default", "final", estimator if variant in ("default", "true labels") else main)
 
 
-def cells(name: str, interval: Interval, factor: float = 1.0) -> dict[str, float]:
-    """Return `name`, `name`_low and `name`_high of an interval, times a factor."""
-    return {
-        name: interval.value * factor,
-        f"{name}_low": interval.low * factor,
-        f"{name}_high": interval.high * factor,
-    }
-
-
 def ranking_table(analysis: Analysis, *, draws: int, seed: int) -> pd.DataFrame:
     """Return the mean precision at 10 and 100 of every variant's rankings, with intervals, per family."""
     rows = []
@@ -161,7 +152,7 @@ def ranking_table(analysis: Analysis, *, draws: int, seed: int) -> pd.DataFrame:
             interval = bootstrap_mean(
                 part[measure].to_numpy(), draws=draws, seed=child, groups=[str(s) for s in part["scene"]]
             )
-            row |= cells(measure, interval)
+            row |= interval_cells(measure, interval)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -201,9 +192,9 @@ def lost_table(analysis: Analysis, thresholds_px: Sequence[float]) -> pd.DataFra
     DataFrame
         One row per threshold, complete family and estimator on the preset `default`, in pairs (means over seeds):
         ``chosen``, successes; where a refined rough F would have been one, ``missed``, the chosen F has no more
-        support, weighted by the probabilities, than that of the right matches, or ``outscored``, it has more;
-        ``hypothesis``, no rough F would have been a success, but a fit to the right matches; ``matches``, not
-        even that.
+        support, weighted by the probabilities, than the best supported F of the oracles that is a success at this
+        threshold, or ``outscored``, it has more; ``hypothesis``, no rough F would have been a success, but a fit to
+        the right matches; ``matches``, not even that.
     """
     rows = []
     for threshold in thresholds_px:
@@ -213,22 +204,30 @@ def lost_table(analysis: Analysis, thresholds_px: Sequence[float]) -> pd.DataFra
             good = success_rates(oracle, threshold, variant=BEST_HYPOTHESIS)[0] > 0
             fit = success_rates(oracle, threshold, variant=CEILING)[0] > 0
             ours = oracle[oracle["variant"] == "default"]
+            truth = _truth_scores(oracle, threshold)
             for estimator in order_of(ours["estimator"]):
                 part = ours[ours["estimator"] == estimator]
                 rate, _ = success_rates(part, threshold)
                 lost = 1 - rate
-                outscored = _outscored(analysis.limits, part, threshold)[good].sum()
+                outscored = _outscored(truth, part, threshold)[good].sum()
                 row = {"threshold_px": threshold, "family": family, "estimator": estimator, "pairs": len(rate)}
                 row |= {"chosen": rate.sum(), "missed": lost[good].sum() - outscored, "outscored": outscored}
                 rows.append(row | {"hypothesis": lost[~good & fit].sum(), "matches": lost[~good & ~fit].sum()})
     return pd.DataFrame(rows)
 
 
-def _outscored(limits: pd.DataFrame, part: pd.DataFrame, threshold: float) -> FloatArray:
+def _truth_scores(oracle: pd.DataFrame, threshold: float) -> pd.Series[float]:
+    """Return, by pair, the most weighted support of any F of the oracles whose error is below the threshold."""
+    known = oracle[(oracle["estimator"] == NO_ESTIMATOR) & (oracle["error_px"] < threshold)]
+    return known.groupby("pair_id")["score"].max()
+
+
+def _outscored(truth: pd.Series[float], part: pd.DataFrame, threshold: float) -> FloatArray:
     """Return, per pair, the share of seeds that failed with an F of more weighted support than the true one."""
-    truth = part["pair_id"].map(limits.set_index("pair_id")["score_of_truth"])
     failed = ~(part["error_px"] < threshold)
-    return np.asarray((failed & (part["score"] > truth)).groupby(part["pair_id"]).mean().sort_index(), np.float64)
+    return np.asarray(
+        (failed & (part["score"] > part["pair_id"].map(truth))).groupby(part["pair_id"]).mean().sort_index(), np.float64
+    )
 
 
 def curve_errors(analysis: Analysis, family: str, variant: str, estimator: str) -> FloatArray:

@@ -9,13 +9,12 @@ import numpy as np
 import pandas as pd
 
 from epiprior_lab.params import BoundParams
-from epiprior_lab.reports.performance import DUEL_INPUTS
+from epiprior_lab.reports.performance import DUEL_INPUTS, ROUNDING
 from epiprior_lab.reports.study import ReportError
 
 Cells = dict[tuple[str, str], dict[Any, Any]]
 
 CONTRIBUTION, EASY, DUEL = "contribution", "easy", "duel"
-_ROUNDING = 1e-9  # 99 of 100 is a loss of one hundredth
 
 
 def bounds_table(
@@ -45,7 +44,8 @@ def bounds_table(
         ``kind``: `CONTRIBUTION` (of the default preset over the input without, as a share), `EASY` (the same,
         worst of all estimators) or `DUEL` (pairs that the champion is ahead of the rival whose interval
         reaches lowest); ``family, threshold_px, input``; ``estimator``, whom the numbers are about;
-        ``wanted, found, low, high``; ``possible``, what would be found if the step solved every pair;
+        ``wanted, found, low, high``; ``possible``, what would be found if the step, or the champion of a duel,
+        solved every pair;
         ``beaten`` of ``others`` estimators; ``met``. A contribution is met by its value, a duel only by an
         interval that excludes zero for every rival.
 
@@ -68,7 +68,7 @@ def _contributions(at: Cells, bounds: BoundParams) -> Iterator[dict[str, Any]]:
             if (family, estimator) not in at:
                 raise ReportError(f"the performance table has no row of {estimator} on {family}")
             cells = _contribution(at, family, estimator)
-            yield {"kind": CONTRIBUTION, "wanted": wanted, **cells, "met": cells["found"] >= wanted - _ROUNDING}
+            yield {"kind": CONTRIBUTION, "wanted": wanted, **cells, "met": cells["found"] >= wanted - ROUNDING}
 
 
 def _easy(at: Cells, bounds: BoundParams) -> Iterator[dict[str, Any]]:
@@ -77,7 +77,8 @@ def _easy(at: Cells, bounds: BoundParams) -> Iterator[dict[str, Any]]:
         if not cells:
             raise ReportError(f"the performance table has no rows of {family}")
         worst = min(cells, key=lambda cell: cell["found"])
-        kept = sum(cell["found"] >= -bounds.easy_loss - _ROUNDING for cell in cells)
+        # 99 of 100 is a loss of one hundredth.
+        kept = sum(cell["found"] >= -bounds.easy_loss - ROUNDING for cell in cells)
         met = kept == len(cells)
         yield {"kind": EASY, "wanted": -bounds.easy_loss, **worst, "beaten": kept, "others": len(cells), "met": met}
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from epiprior_lab.reports.study import Study, order_of
 from epiprior_lab.reports.style import MUTED, RANKING_LOOKS, SERIES, legend, look_of, save, styled
-from epiprior_lab.reports.tables import calibration_sums
+from epiprior_lab.reports.tables import STATED, calibration_sums, stated_bins
 
 ROLL_PANELS = 6
 
@@ -98,12 +98,13 @@ def calibration_figure(study: Study, path: Path) -> Path:
             lower.bar(place, sums.count, width * 0.92, color="#c9ced6", label="matches")
             lower.bar(place, sums.right, width * 0.92, color="#0072b2", label="right matches")
             lower.set(yscale="log", xlim=(0, 1), xlabel="stated probability")
-            brier, gap = sums.brier_score, sums.expected_calibration_error
             upper.set(title=f"preset {preset}", ylim=(0, 1))
-            note = f"Brier {brier:.4f}, calibration error {gap:.4f}"
+            gap, stated = sums.expected_calibration_error, stated_bins(sums).expected_calibration_error
+            note = f"Brier {sums.brier_score:.4f}, calibration error {gap:.4f},\n"
+            note += f"of matches from {STATED:g} up {stated:.4f}"
             upper.set_title(note, loc="right", fontsize=8, fontweight="normal")
         axes[0][0].set_ylabel("share of right matches")
-        axes[1][0].set_ylabel("matches of all test pairs")
+        axes[1][0].set_ylabel("matches")
         axes[0][0].legend(loc="upper left")
         axes[1][0].legend(loc="upper right")
         return save(figure, path)

@@ -19,6 +19,7 @@ from epiprior_lab.reports.classifier_figure import METRIC_NAMES, TARGET_NAMES
 from epiprior_lab.reports.performance import ALL, COLUMNS, COMPARISONS
 from epiprior_lab.reports.study import order_of
 from epiprior_lab.reports.style import RANKING_LOOKS
+from epiprior_lab.reports.tables import ENOUGH_RIGHT, STATED
 from epiprior_lab.reports.verdicts import VERDICT_HEAD, verdict_rows
 from epiprior_lab.reports.wording import bound_rows, contribution_cell, difference_cell, family_title, success_cell
 
@@ -108,6 +109,8 @@ def write_page(
         seeds=seeds,
         timing_figures=TIMING_FIGURES,
         timing_tables=TIMING_TABLES,
+        enough=ENOUGH_RIGHT,
+        stated=f"{STATED:g}",
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(page, encoding="utf-8", newline="\n")

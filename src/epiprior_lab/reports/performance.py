@@ -18,6 +18,7 @@ ALL = "all"
 COLUMNS = ("without", "snn", "paper", "default")
 COMPARISONS = (("without", "paper"), ("without", "default"), ("snn", "default"))
 DUEL_INPUTS = ("default", "snn")
+ROUNDING = 1e-9  # sums of shares are off by about 1e-15: what is nearer to zero than this is zero
 
 
 def performance_table(study: Study, *, thresholds_px: Sequence[float], draws: int, seed: int) -> pd.DataFrame:
@@ -111,13 +112,10 @@ def _comparisons(
     return cells
 
 
-def interval_cells(name: str, interval: Interval, factor: float) -> dict[str, float]:
-    """Return the columns `name`, `name`_low and `name`_high of an interval, times `factor`."""
-    return {
-        name: interval.value * factor,
-        f"{name}_low": interval.low * factor,
-        f"{name}_high": interval.high * factor,
-    }
+def interval_cells(name: str, interval: Interval, factor: float = 1.0) -> dict[str, float]:
+    """Return the columns `name`, `name`_low and `name`_high of an interval, times `factor`; rounding noise is 0."""
+    ends = {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
+    return {column: 0.0 if abs(value) < ROUNDING else value * factor for column, value in ends.items()}
 
 
 def duel_table(study: Study, champion: str, *, thresholds_px: Sequence[float], draws: int, seed: int) -> pd.DataFrame:
@@ -175,7 +173,7 @@ def duel_table(study: Study, champion: str, *, thresholds_px: Sequence[float], d
 
 
 def verdict(difference: Interval) -> str:
-    """Return ``better`` or ``worse`` where the interval excludes zero, else ``open``."""
-    if difference.low > 0:
+    """Return ``better`` or ``worse`` where the interval excludes zero by more than `ROUNDING`, else ``open``."""
+    if difference.low > ROUNDING:
         return "better"
-    return "worse" if difference.high < 0 else "open"
+    return "worse" if difference.high < -ROUNDING else "open"

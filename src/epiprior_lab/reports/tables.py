@@ -15,6 +15,9 @@ from epiprior_lab.reports.performance import ALL
 from epiprior_lab.reports.study import Study, order_of
 from epiprior_lab.statistics import CalibrationBins
 
+ENOUGH_RIGHT = 15  # right matches from which an F can be found, if the order is good
+STATED = 0.05  # an edge of the bins; nearly all matches are below, and decide the error over all
+
 
 def ranking_table(study: Study) -> pd.DataFrame:
     """Return means over pairs per preset, family (``all`` last) and ranking.
@@ -22,7 +25,8 @@ def ranking_table(study: Study) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``matches``, ``right``, precision at 10, 100 and 500, and ``average_precision``.
+        ``matches``, ``right``, precision at 10, 100 and 500, and ``average_precision``; ``enough``, the share of pairs
+        with at least `ENOUGH_RIGHT` right matches.
     """
     measures = ["matches", "right", "precision_10", "precision_100", "precision_500", "average_precision"]
     rows = []
@@ -33,7 +37,8 @@ def ranking_table(study: Study) -> pd.DataFrame:
                 part = part[(part["preset"] == preset) & (part["ranking"] == ranking)]
                 part = part if family == ALL else part[part["family"] == family]
                 means = {name: float(part[name].mean()) for name in measures}
-                rows.append({"preset": preset, "family": family, "ranking": ranking, **means})
+                enough = float((part["right"] >= ENOUGH_RIGHT).mean())
+                rows.append({"preset": preset, "family": family, "ranking": ranking, **means, "enough": enough})
     return pd.DataFrame(rows)
 
 
@@ -48,13 +53,34 @@ def calibration_sums(calibration: pd.DataFrame) -> CalibrationBins:
     )
 
 
+def stated_bins(sums: CalibrationBins) -> CalibrationBins:
+    """Return the bins whose matches state a probability of `STATED` or more."""
+    bins = len(sums.count)
+    kept = np.arange(bins) >= round(STATED * bins)
+    return CalibrationBins(
+        count=sums.count[kept],
+        right=sums.right[kept],
+        probability=sums.probability[kept],
+        squared_error=sums.squared_error[kept],
+    )
+
+
 def calibration_table(study: Study) -> pd.DataFrame:
-    """Return Brier score and expected calibration error per preset and family (``all`` last)."""
+    """Return the calibration per preset and family (``all`` last).
+
+    Returns
+    -------
+    DataFrame
+        ``preset, family``; ``matches`` and ``right`` ones among them, ``brier_score`` and
+        ``expected_calibration_error``; ``stated_matches``, those with a probability of `STATED` or more, and their
+        ``stated_calibration_error``.
+    """
     rows = []
     for preset in order_of(study.calibration["preset"]):
         for family in (*study.families, ALL):
             part = study.calibration[study.calibration["preset"] == preset]
             sums = calibration_sums(part if family == ALL else part[part["family"] == family])
+            stated = stated_bins(sums)
             rows.append(
                 {
                     "preset": preset,
@@ -63,6 +89,8 @@ def calibration_table(study: Study) -> pd.DataFrame:
                     "right": int(sums.right.sum()),
                     "brier_score": sums.brier_score,
                     "expected_calibration_error": sums.expected_calibration_error,
+                    "stated_matches": int(stated.count.sum()),
+                    "stated_calibration_error": stated.expected_calibration_error,
                 }
             )
     return pd.DataFrame(rows)
@@ -97,7 +125,8 @@ def classifier_table(study: Study) -> pd.DataFrame:
 def estimator_table(estimators: Sequence[str]) -> pd.DataFrame:
     """Return what stands behind each name: ``estimator, backend, max_iterations, deterministic``.
 
-    ``max_iterations`` caps the hypotheses of a run, per roll hypothesis; slow estimators have lower caps.
+    ``max_iterations`` caps the samples of a run, per roll hypothesis; slow estimators have lower caps. For `epiprior`
+    it caps the progressive samples alone: rough matrices and pairs of oriented matches give further hypotheses.
     """
     rows = []
     for name in estimators:

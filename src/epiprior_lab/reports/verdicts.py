@@ -123,8 +123,8 @@ def verdict_figure(table: pd.DataFrame, path: Path) -> Path:
                 axis.bar(place, above, 0.9 * width, bottom=bottom, color=colour, alpha=0.45)
             axis.set_xticks(range(len(groups)), groups, rotation=20 if len(groups) > 3 else 0)
             axis.grid(axis="x", visible=False)
-            axis.use_sticky_edges = False  # bars of no height on top of others would leave no room above them
-            axis.set(title=title, ylim=(0, 100 if kind == "wrong" else None))
+            tallest = float(100 * table.loc[table["input"].isin(inputs), f"{kind}_turned_down"].max())
+            axis.set(title=title, ylim=(0, 100 if kind == "wrong" or not tallest > 0 else min(1.15 * tallest, 100)))
         axes[0][0].set_ylabel("share of the runs, %")
         handles = [
             Patch(color=look.colour, label=look.label)

@@ -39,7 +39,9 @@ def contribution_cell(row: Mapping[Any, Any], name: str) -> str:
 
 def difference_cell(row: Mapping[Any, Any], name: str = "difference") -> str:
     """Return ``+2.4 [+0.6, +4.4]``, pairs."""
-    return f"{row[name]:+.1f} [{row[f'{name}_low']:+.1f}, {row[f'{name}_high']:+.1f}]"
+    # Adding 0.0 turns -0.0 into 0.0.
+    middle, low, high = (round(row[f"{name}{end}"], 1) + 0.0 for end in ("", "_low", "_high"))
+    return f"{middle:+.1f} [{low:+.1f}, {high:+.1f}]"
 
 
 def success_cell(row: Mapping[Any, Any], name: str) -> str:
@@ -87,4 +89,5 @@ def _found(row: Mapping[Any, Any]) -> str:
         return f"{kept}; {row['estimator']} comes out lowest: {percent(row['found'])}"
     interval = {"found": row["found"], "found_low": row["low"], "found_high": row["high"]}
     ahead = f"{row['beaten']:.0f} of {row['others']:.0f} beaten"
-    return f"{ahead}; closest is {row['estimator']}: {difference_cell(interval, 'found')} pairs"
+    closest = f"closest is {row['estimator']}: {difference_cell(interval, 'found')} pairs"
+    return f"{ahead}; {closest}, at most {row['possible']:+.1f} if it solved every pair"
