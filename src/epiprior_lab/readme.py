@@ -12,7 +12,7 @@ from pathlib import Path
 from epiprior.errors import EpipriorError
 from epiprior_lab.params import load_params
 from epiprior_lab.photographs.params import PARAMS, load_real_params
-from epiprior_lab.photographs.wording import bound_rows, set_lines, split_lines
+from epiprior_lab.photographs.wording import bound_rows, set_lines, split_lines, time_lines
 from epiprior_lab.reports.markdown import bounds_lines, duel_lines, markdown_table, successes_lines
 from epiprior_lab.reports.study import read_table
 
@@ -22,8 +22,9 @@ _PERFORMANCE = "threshold_px family estimator pairs without snn default default_
 _DUEL = "threshold_px family input estimator difference difference_low difference_high verdict"
 _BOUNDS = "kind family threshold_px input estimator wanted found low high possible beaten others met"
 _REAL = Path("reports/real/tables")
-_REAL_SUCCESSES = "threshold_px group estimator input pairs successes gain gain_low gain_high"
-_REAL_BOUNDS = "kind group threshold_px estimator against wanted found low high possible kept of met"
+_REAL_SUCCESSES = "threshold_px group estimator input pairs successes scene_share gain gain_low gain_high"
+_REAL_BOUNDS = "kind group threshold_px estimator against wanted found low high scene_found possible kept of met"
+_TIMINGS = Path("reports/real/timings")
 
 
 class ReadmeError(EpipriorError):
@@ -111,10 +112,20 @@ def _photographs_bounds(root: Path) -> list[str]:
     return markdown_table(["bound", "found", "met"], rows, texts=3)
 
 
+def _photographs_time(root: Path) -> list[str]:
+    at = root / _TIMINGS
+    return time_lines(
+        read_table(at / "bounds.csv", "bound wanted found met"),
+        read_table(at / "overhead.csv", "estimator seconds_without seconds_with seconds_cascade preprocessed"),
+        read_table(at / "pairs.csv", "set pair_id estimator seconds_without seconds_with seconds_cascade"),
+    )
+
+
 TABLES: Mapping[str, Callable[[Path], list[str]]] = {
     "successes": _successes,
     "duel": _duel,
     "bounds": _bounds,
     "photographs": _photographs,
     "photographs-bounds": _photographs_bounds,
+    "photographs-time": _photographs_time,
 }

@@ -11,6 +11,7 @@ from epiprior.geometry import sampson_distance
 from epiprior.models import load_model
 from epiprior_lab import real
 from epiprior_lab.datasets import Camera, DatasetError, Pair
+from epiprior_lab.photographs.sets import link_sets
 from pictures import relief_pair, save
 from synthetic import HEIGHT, WIDTH, K, rotation
 from tiny_model import make_model
@@ -110,3 +111,14 @@ def test_summary_counts_failures():
     uneven = pd.concat([rows, rows[rows["pair_id"] == "p"].assign(pair_id="r")])
     assert real.summarise(uneven).set_index("input").loc["snn", "scene_share"] == 0.5
     assert real.summarise(uneven).set_index("input").loc["snn", "pairs"] == 3
+
+
+def test_links_name_a_folder_that_is_not_there(datasets, tmp_path):
+    folder = tmp_path / "real"
+    link_sets(("relief",), datasets, folder)  # a second run must not take these links in silence
+    with pytest.raises(SettingsError, match=r"datasetz: no such folder"):
+        link_sets(("relief",), tmp_path / "datasetz", folder)
+    with pytest.raises(SettingsError, match="holds no pair set of relief"):
+        link_sets(("relief",), tmp_path, folder)
+    assert link_sets(("relief",), folder, folder) == [folder / "relief"]  # no link to itself
+    assert (folder / "relief").resolve() == (datasets / "relief").resolve()

@@ -259,10 +259,11 @@ def test_times_of_a_cascade(root, ours, monkeypatch):
 def test_pictures_of_the_gallery(root, ours, tmp_path):
     (pair,) = read_pair_set(root / "relief").pairs
     case = Case(kind="rescued", set_name="relief", pair_id="p", split="easy", right_share=0.7,
-                inputs=("standard", "default"), succeeded=(0.0, 1.0), seeds=(0, 1))  # fmt: skip
+                estimator="usac", inputs=("standard", "default"), changed=1, of=1, succeeded=(0.0, 1.0), seeds=(0, 1),
+                verdicts=("no_model", "ok"))  # fmt: skip
     hows = {"usac": dict.fromkeys(case.inputs, HandOver(one_to_one=True))}
     draw_cases(
-        [case], {("relief", "p"): pair}, estimator="usac", hand_overs=hows,
+        [case], {("relief", "p"): pair}, hand_overs=hows,
         photographs=tmp_path / "photographs", frames=tmp_path / "frames",
     )  # fmt: skip
     for name in case.inputs:

@@ -28,12 +28,33 @@ def code_deps(name):
     return [ROOT / dep for dep in PIPELINE[name]["deps"] if dep.startswith("src/")]
 
 
+def templates(file):
+    """Return the folders of templates that a file hands to `jinja2.PackageLoader`."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("PackageLoader"):
+            package, folder = (ast.literal_eval(value) for value in node.args)
+            yield SOURCE / package.replace(".", "/") / folder
+
+
+def read_by(name):
+    """Return the source files of a stage and the folders of templates that these render."""
+    files = source_files(stage_file(name))
+    return files | {folder for file in files for folder in templates(file)}
+
+
 @pytest.mark.parametrize("name", PIPELINE)
 def test_a_stage_depends_on_all_code_that_it_imports_and_no_other(name):
-    deps, files = code_deps(name), source_files(stage_file(name))
+    deps, files = code_deps(name), read_by(name)
     missing = [str(file) for file in sorted(files) if not any(file.is_relative_to(dep) for dep in deps)]
     assert missing == []
     assert [str(dep) for dep in deps if not any(file.is_relative_to(dep) for file in files)] == []
+
+
+def test_templates_are_part_of_what_a_stage_reads():
+    folder = SOURCE / "epiprior_lab" / "photographs" / "templates"
+    assert (folder / "page.html.j2").is_file()
+    assert folder in read_by("report")
+    assert folder in code_deps("report")
 
 
 @pytest.mark.parametrize("name", PIPELINE)

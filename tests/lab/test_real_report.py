@@ -9,7 +9,7 @@ import pytest
 
 from epiprior.cascade import CascadeRule
 from epiprior_lab import readme
-from epiprior_lab.photographs import bounds, gallery, report, results, tables, timing, wording
+from epiprior_lab.photographs import bounds, figures, findings, gallery, report, results, tables, timing, wording
 from epiprior_lab.photographs.params import load_real_params
 from epiprior_lab.reports.study import ReportError
 from synthetic_photographs import APART, INPUTS, PAIRS, SEEDS, SETS, write_photographs
@@ -200,6 +200,8 @@ def test_bounds_are_met_by_numbers_only(photographs, made, params):
     row = table.loc[("champion", 3.0)]
     assert row["found"] == pytest.approx(own / peer - 1)
     assert row["met"] == (own / peer - 1 >= 0.3)
+    scenes = made.rankings.set_index(["group", "ranking"])["scene_precision_100"]
+    assert made.bounds.loc[0, "scene_found"] == pytest.approx(scenes["all", "default"] - scenes["all", "standard"])
     assert "epiprior on our matches is at least +30 %" in wording.bound_rows(made.bounds)[3]["bound"]
 
 
@@ -228,19 +230,138 @@ def test_every_pair_is_in_the_table(photographs, out):
     assert row["found"] == runs["error_px"].notna().sum()
 
 
-def test_cases_changed_sides(photographs, cases, params):
-    rates = results.error_runs(photographs)
-    names = list(photographs.pairs["pair"])
-    assert cases
+def sides(photographs, pair, estimator, against):
+    """Share of the runs of an estimator that succeed on one pair: on another input, and on ours."""
+    table = photographs.results
+    own = table[(table["pair"] == pair) & (table["estimator"] == estimator)]
+    shares = (own["error_px"] < 10).groupby(own["input"]).mean()
+    return shares[against], shares["default"]
+
+
+def swapped(photographs):
+    """The same results, ours and `snn` in each other's place, so that pairs are lost."""
+    inputs = photographs.results["input"].replace({"default": "snn", "snn": "default"})
+    return results.Photographs(**{**vars(photographs), "results": photographs.results.assign(input=inputs)})
+
+
+@pytest.mark.parametrize("change", [lambda photographs: photographs, swapped])
+def test_cases_changed_sides(photographs, params, change):
+    photographs = change(photographs)
+    cases = gallery.choose_cases(photographs, params.gallery, success_px=10.0, seeds=SEEDS)
+    assert ("lost" in {case.kind for case in cases}) == (change is swapped)
+    assert change is swapped or cases
+    status = photographs.results.set_index(["pair", "estimator", "input", "seed"])["status"]
     for case in cases:
         assert case.set_name not in APART
-        place = names.index(f"{case.set_name}/{case.pair_id}")
-        before, after = ((rates.of("usac", name)[place] < 10).mean() for name in case.inputs)
+        pair = f"{case.set_name}/{case.pair_id}"
+        before, after = sides(photographs, pair, case.estimator, case.inputs[0])
         assert case.succeeded == (before, after)
         assert (before < 0.5 < after) if case.kind == "rescued" else (after < 0.5 < before)
+        drawn = zip(case.inputs, case.seeds, strict=True)
+        assert case.verdicts == tuple(status[pair, case.estimator, name, seed] for name, seed in drawn)
+        assert case.kind == "lost" or case.verdicts[1] == "ok"
+        assert case.kind == "lost" or case.estimator == "usac"
+        assert 1 <= case.changed <= case.of == len(INPUTS)
     rescued = [case for case in cases if case.kind == "rescued"]
     assert len(rescued) <= params.gallery.rescued
     assert [case.right_share for case in rescued] == sorted(case.right_share for case in rescued)
+
+
+def test_lost_pairs_are_those_that_most_estimators_lose(photographs, params):
+    photographs = swapped(photographs)
+    every = params.gallery.__class__(estimator="usac", rescued=1, lost=100)
+    lost = gallery.choose_cases(photographs, every, success_px=10.0, seeds=SEEDS)
+    lost = {f"{case.set_name}/{case.pair_id}": case for case in lost if case.kind == "lost"}
+    expected = {}
+    for pair in sorted(photographs.counted):
+        counts = []
+        for own in (True, False):
+            found = [sides(photographs, pair, e, names[0] if own else "snn") for e, names in INPUTS.items()]
+            counts.append(sum(after < 0.5 < before for before, after in found))
+        if max(counts):
+            expected[pair] = max(counts)
+    assert len(set(expected.values())) > 1
+    assert {pair: case.changed for pair, case in lost.items()} == expected
+    assert [case.changed for case in lost.values()] == sorted(expected.values(), reverse=True)
+
+
+def test_a_rescued_pair_shows_an_accepted_run(photographs, cases, params):
+    (first, *_) = (case for case in cases if case.kind == "rescued")
+    table = photographs.results.copy()
+    own = (table["pair"] == f"{first.set_name}/{first.pair_id}") & (table["input"] == "default")
+    table.loc[own, "status"] = "degenerate"
+    without = results.Photographs(**{**vars(photographs), "results": table})
+    found = gallery.choose_cases(without, params.gallery, success_px=10.0, seeds=SEEDS)
+    assert first.name not in {case.name for case in found}
+
+
+def test_limits_equal_counts_by_hand(photographs, made):
+    table = made.limits.set_index("group")
+    rows = rows_of(photographs, "hard").assign(right=lambda t: t["error_px"] < 10)
+    solved = rows.groupby(["pair", "estimator", "input"])["right"].mean() > 0.5
+    own = solved.xs(("epiprior", "default"), level=("estimator", "input"))
+    failing = list(own.index[~own])
+    assert list(table.index) == ["all", "fox"]  # no other set has hard pairs
+    assert table.loc["all", ["pairs", "failing"]].tolist() == [PAIRS, len(failing)]
+    by = solved[solved.index.get_level_values("pair").isin(failing)].reset_index()
+    by = by[by["right"]]
+    champion, ours = by["estimator"] == "epiprior", by["input"] == "default"
+    expected = [part["pair"].nunique() for part in (by[champion & ~ours], by[~champion & ours], by)]
+    assert table.loc["all", ["other_input", "other_estimator", "anyone"]].tolist() == expected
+    ranked = photographs.rankings[photographs.rankings["ranking"] == "default"].set_index("pair")["precision_100"]
+    assert table.loc["all", "precision_solved"] == pytest.approx(ranked[own.index[own]].median(), nan_ok=True)
+    assert table.loc["all", "precision_failing"] == pytest.approx(ranked[failing].median(), nan_ok=True)
+
+
+def test_successes_with_the_verdict_ok(photographs, made):
+    rows = rows_of(photographs, "all")
+    part = rows[(rows["estimator"] == "epiprior") & (rows["input"] == "default")]
+    right = (part["error_px"] < 10) & (part["status"] == "ok")
+    table = made.successes.set_index(["threshold_px", "group", "estimator", "input"])
+    row = table.loc[(10.0, "all", "epiprior", "default")]
+    assert row["successes_ok"] == pytest.approx(right.sum() / len(SEEDS))
+    assert (made.successes["successes_ok"] <= made.successes["successes"]).all()
+    text = findings.verdict_sentence(made.successes, "epiprior", 10.0)
+    assert f"would solve {row['successes_ok']:.1f} pairs below 10 px" in text
+
+
+def test_successes_may_hide_a_wrong_pose(photographs, made, params):
+    row = made.geometry.set_index(["group", "estimator", "input"]).loc[("all", "usac", "default")]
+    rows = rows_of(photographs, "fox")  # the only one with cameras
+    part = rows[(rows["estimator"] == "usac") & (rows["input"] == "default") & (rows["error_px"] < 10)]
+    wrong = part[["rotation_deg", "translation_deg"]].max(axis=1) > max(params.pose_deg)
+    assert row[["posed_successes", "wrong_poses"]].tolist() == [len(part), wrong.sum()]
+    assert "hide a wrong geometry" in findings.pose_sentence(made.geometry, "epiprior", params)
+
+
+def test_calibration_tells_the_lowest_bin_apart(photographs, made):
+    row = made.calibration.set_index("group").loc["all"]
+    part = photographs.calibration[photographs.calibration["pair"].isin(photographs.counted)]
+    sums = part.groupby("bin")[["count", "right", "probability"]].sum()
+    assert row["lowest_share"] == pytest.approx(sums["count"][0] / sums["count"].sum())
+    gaps = (sums["probability"] - sums["right"]).abs()
+    assert row["upper_error"] == pytest.approx(gaps[1:].sum() / sums["count"][1:].sum())
+    k = (gaps / sums["count"]).idxmax()
+    assert row["gap_right"] == pytest.approx(sums["right"][k] / sums["count"][k])
+    assert row["top_stated"] == pytest.approx(sums["probability"].iloc[-1] / sums["count"].iloc[-1])
+    texts = findings.calibration_sentences(made.calibration)
+    assert [text.partition(" ")[0] for text in texts[1:]] == ["Easy", "Medium", "Hard"]
+
+
+def test_the_figure_of_verdicts_leaves_out_few_runs():
+    verdicts = pd.DataFrame({"right": [29, 30], "wrong": [30, 0]})
+    verdicts = verdicts.assign(**{f"{a}_{b}": 9 for a in ("right", "wrong") for b in ("no_model", "degenerate")})
+    shown = figures.enough_runs(verdicts)
+    assert shown["right"].tolist() == [0, 30]
+    assert shown["right_degenerate"].tolist() == [0, 9]
+    assert shown["wrong_no_model"].tolist() == [9, 0]
+
+
+def test_a_small_loss_on_easy_pairs_keeps_its_decimal():
+    row = {"kind": "easy", "group": "easy", "threshold_px": 10.0, "estimator": "lo-ransac", "wanted": -0.01}
+    row |= {"found": -0.0126, "low": -0.04, "high": 0.0, "kept": 10, "of": 12, "met": False}
+    (text,) = wording.bound_rows(pd.DataFrame([row]))
+    assert text["found"] == "10 of 12 keep to it; lowest is lo-ransac: -1.3 % [-4.0 %, +0.0 %]"
 
 
 class Page(HTMLParser):
@@ -265,6 +386,16 @@ class Page(HTMLParser):
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
+
+
+def test_the_page_says_what_limits_and_what_may_be_hidden(made, out, params):
+    text = " ".join((out / "index.html").read_text().split())
+    assert findings.limits_sentence(made.limits, "epiprior", 10.0) in text
+    assert findings.pose_sentence(made.geometry, "epiprior", params) in text
+    assert all(sentence in text for sentence in findings.calibration_sentences(made.calibration))
+    for words in ("no photograph took part", "**", "`"):
+        assert words not in text
+    assert "<code>snn</code> is handed over whole" in text
 
 
 def test_pages_are_whole_and_the_committed_one_shows_no_photograph(out, cases):
@@ -297,7 +428,9 @@ def test_the_same_results_give_the_same_bytes(photographs, params, cases, made, 
 
 def test_markdown_has_every_row_and_the_sets_once(made, out):
     text = (out / "performance.md").read_text()
-    rows = [line for line in text.splitlines() if line.startswith(tuple(f"| {name} |" for name in INPUTS))]
+    assert findings.limits_sentence(made.limits, "epiprior", 10.0) in " ".join(text.split())
+    successes = text[text.index("## Below 10 px") : text.index("## The verdict")]
+    rows = [line for line in successes.splitlines() if line.startswith(tuple(f"| {name} |" for name in INPUTS))]
     table = made.successes.drop_duplicates(["threshold_px", "group", "estimator"])
     assert len(rows) == ((table["threshold_px"] == 10) | ~table["group"].isin(list(SETS))).sum()
     assert text.count(" | yes |\n") + text.count(" | no |\n") == len(made.bounds)

@@ -17,6 +17,8 @@ from epiprior_lab.reports.study import Study, order_of
 from epiprior_lab.reports.style import INPUT_LOOKS, legend, look_of, save, styled
 from epiprior_lab.reports.success_figures import performance_figure, success_figure
 
+MIN_BAR = 30  # a share of fewer runs says little
+
 
 def draw_figures(
     photographs: Photographs, successes: pd.DataFrame, at: Path, *, thresholds_px: Sequence[float]
@@ -107,3 +109,12 @@ def ranking_figure(photographs: Photographs, path: Path) -> Path:
         axes[0][0].set_ylabel("share of right matches")
         legend(figure, looks, names)
         return save(figure, path)
+
+
+def enough_runs(verdicts: pd.DataFrame) -> pd.DataFrame:
+    """Return verdicts for the figure: no bar where a share would be of fewer than `MIN_BAR` runs."""
+    shown = verdicts.copy()
+    for kind in ("right", "wrong"):
+        few = shown[kind] < MIN_BAR
+        shown.loc[few, [kind, f"{kind}_no_model", f"{kind}_degenerate"]] = 0
+    return shown

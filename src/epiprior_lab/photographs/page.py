@@ -11,8 +11,19 @@ import numpy as np
 import pandas as pd
 
 import epiprior
-from epiprior_lab.matching import INPUTS
-from epiprior_lab.photographs.gallery import Case
+from epiprior_lab.matching import INPUTS, WITHOUT
+from epiprior_lab.photographs.figures import MIN_BAR
+from epiprior_lab.photographs.findings import (
+    LIMITS_HEAD,
+    ORIGIN,
+    calibration_sentences,
+    limits_rows,
+    limits_sentence,
+    pose_rows,
+    pose_sentence,
+    verdict_sentence,
+)
+from epiprior_lab.photographs.gallery import RESCUED, Case
 from epiprior_lab.photographs.params import RealReportParams
 from epiprior_lab.photographs.results import ALL
 from epiprior_lab.photographs.tables import Tables
@@ -62,7 +73,15 @@ def write_page(
         .render(
             version=epiprior.__version__,
             images={name: file.relative_to(path.parent).as_posix() for name, file in figures.items()},
+            origin=ORIGIN,
+            verdict_sentence=verdict_sentence(tables.successes, params.bounds.champion, params.success_px),
             bounds=bound_rows(tables.bounds),
+            limits={
+                "text": limits_sentence(tables.limits, params.bounds.champion, params.success_px),
+                "head": LIMITS_HEAD,
+                "rows": limits_rows(tables.limits),
+            },
+            poses=_pose_block(tables.geometry, params),
             sets={"head": SET_HEAD, "rows": set_rows(tables.sets)},
             successes=[_success_block(_of_all(tables.successes), threshold) for threshold in params.thresholds_px],
             by_set=_success_block(_of_sets(tables.successes), params.success_px),
@@ -74,6 +93,7 @@ def write_page(
             estimators=[_estimator(row) for row in tables.estimators.to_dict("records")],
             cases=[_case(case, "gallery", "png") for case in cases],
             peers=[name for name in order_of(tables.successes["input"]) if name not in INPUTS],
+            min_bar=MIN_BAR,
             params=params,
         )
     )
@@ -81,11 +101,11 @@ def write_page(
     return path
 
 
-def write_gallery(cases: Sequence[Case], path: Path, *, estimator: str) -> Path:
+def write_gallery(cases: Sequence[Case], path: Path) -> Path:
     """Write the gallery on photographs, beside its pictures; it may not be passed on."""
     path.parent.mkdir(parents=True, exist_ok=True)
     page = _environment().get_template("gallery.html.j2")
-    text = page.render(cases=[_case(case, ".", "jpg") for case in cases], estimator=estimator)
+    text = page.render(cases=[_case(case, ".", "jpg") for case in cases])
     path.write_text(text, encoding="utf-8", newline="\n")
     return path
 
@@ -148,13 +168,20 @@ def _geometry_block(geometry: pd.DataFrame, params: RealReportParams) -> Block:
     return {"head": [*head, f"distance < {params.distance_recall:g}", "median distance"], "groups": groups}
 
 
+def _pose_block(geometry: pd.DataFrame, params: RealReportParams) -> Block:
+    head, rows = pose_rows(geometry, params.pose_deg)
+    marked = [[cell.replace("**", "") for cell in row] for row in rows]
+    return {"text": pose_sentence(geometry, params.bounds.champion, params), "head": head, "rows": marked}
+
+
 def _calibration_block(calibration: pd.DataFrame) -> Block:
     rows = [
         [str(row["group"]), str(row["matches"]), str(row["right"]), number(row["brier_score"], 4)]
-        + [number(row["expected_calibration_error"], 4)]
+        + [number(row["expected_calibration_error"], 4), share(row["lowest_share"]), number(row["upper_error"], 4)]
         for row in calibration.to_dict("records")
     ]
-    return {"head": ("group", "ranked matches", "right", "Brier score", "calibration error"), "rows": rows}
+    head = ("group", "ranked matches", "right", "Brier score", "calibration error", "in lowest bin", "error of others")
+    return {"head": head, "rows": rows, "text": calibration_sentences(calibration)}
 
 
 def _cascade_block(cascade: pd.DataFrame, threshold_px: float) -> Block:
@@ -181,10 +208,13 @@ def _case(case: Case, folder: str, suffix: str) -> Block:
         {
             "src": f"{folder}/{case.name}-{name}.{suffix}",
             "alt": f"{case.pair_id}, {title}: best matches and epipolar lines",
-            "title": f"{title}: {share(succeeded)} of the runs succeed",
+            "title": f"{title}: {share(succeeded)} of the runs of {case.estimator} succeed; verdict on the one that "
+            f"is drawn: {verdict}",
         }
-        for name, title, succeeded in zip(case.inputs, names, case.succeeded, strict=True)
+        for name, title, succeeded, verdict in zip(case.inputs, names, case.succeeded, case.verdicts, strict=True)
     ]
-    return {"kind": case.kind, "set": case.set_name, "pair": case.pair_id, "split": case.split, "right": right} | {
-        "pictures": pictures
-    }
+    does = "rescue" if case.kind == RESCUED else "lose"
+    against = "going without" if case.inputs[0] in WITHOUT else names[0]
+    number = f"{case.changed} of {case.of} estimators {does} it against {against}"
+    title = f"{case.set_name}, {case.pair_id} ({case.split}, right in X_L: {right}): {number}"
+    return {"title": f"{case.kind}: {title}", "pictures": pictures}

@@ -31,15 +31,21 @@ def link_sets(names: Sequence[str], source: Path | None, folder: Path = FOLDER) 
     Raises
     ------
     SettingsError
-        If a set is missing after all; the message says what to do.
+        If `source` is no folder or holds none of the sets, since older links would be taken in silence; or if a set is
+        missing after all. The message says what to do.
     """
+    if source is not None and not source.is_dir():
+        raise SettingsError(f"{source}: no such folder of pair sets; `make real` alone takes what {folder} has")
+    if source is not None and not any((source / name / "pairs.csv").is_file() for name in names):
+        raise SettingsError(f"{source}: holds no pair set of {', '.join(names)}")
     for name in names:
         at = folder / name
         if source is None or not (source / name / "pairs.csv").is_file() or (at.exists() and not at.is_symlink()):
             continue
+        target = (source / name).resolve()  # before the link goes: `source` may be `folder` itself
         folder.mkdir(parents=True, exist_ok=True)
         at.unlink(missing_ok=True)
-        at.symlink_to(os.path.relpath((source / name).resolve(), folder.resolve()), target_is_directory=True)
+        at.symlink_to(os.path.relpath(target, folder.resolve()), target_is_directory=True)
     missing = [name for name in names if not (folder / name / "pairs.csv").is_file()]
     if missing:
         raise SettingsError(

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from epiprior.types import BoolArray, FloatArray
+from epiprior.types import BoolArray, FloatArray, Status
 from epiprior_lab.datasets import known_sets
 from epiprior_lab.photographs.results import (
     OURS,
     Photographs,
+    Runs,
     distance_runs,
     error_runs,
     pose_runs,
@@ -26,10 +27,12 @@ from epiprior_lab.reports.study import order_of
 from epiprior_lab.reports.tables import calibration_sums
 from epiprior_lab.reports.verdicts import verdict_table
 from epiprior_lab.seeds import child_seed
-from epiprior_lab.statistics import Interval, bootstrap_mean, paired_bootstrap, success_curve
+from epiprior_lab.statistics import CalibrationBins, Interval, bootstrap_mean, paired_bootstrap, success_curve
 
 LOWE = "standard"
 RANKING_MEASURES = ("matches", "right", "precision_10", "precision_100", "precision_500", "average_precision")
+SCENE_MEASURES = ("precision_10", "precision_100", "precision_500", "average_precision")
+_ENOUGH = 20  # the share of right ones among fewer matches says nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +41,7 @@ class Tables:
 
     sets: pd.DataFrame
     bounds: pd.DataFrame
+    limits: pd.DataFrame
     successes: pd.DataFrame
     geometry: pd.DataFrame
     rankings: pd.DataFrame
@@ -90,12 +94,14 @@ def success_table(photographs: Photographs, *, thresholds_px: Sequence[float], d
     -------
     DataFrame
         ``threshold_px, group, estimator, input, pairs, scenes``; ``successes`` (pairs, mean over seeds) and their
-        deviation ``successes_sd``; ``scene_share``, the share of successes per scene, mean over scenes. Against the
-        input without preprocessing: ``gain``, the paper's contribution, and ``scene_gain``, the difference of scene
-        shares, with the ends of their 95 % intervals, ``_low`` and ``_high``; NaN for that input itself. A group of one
-        scene has no interval, since whole scenes are drawn: the ends are NaN.
+        deviation ``successes_sd``; ``successes_ok``, those whose verdict is `ok`; ``scene_share``, the share of
+        successes per scene, mean over scenes. Against the input without preprocessing: ``gain``, the paper's
+        contribution, and ``scene_gain``, the difference of scene shares, with the ends of their 95 % intervals,
+        ``_low`` and ``_high``; NaN for that input itself. A group of one scene has no interval, since whole scenes are
+        drawn: the ends are NaN.
     """
     errors, scenes = error_runs(photographs), np.array(photographs.scenes)
+    accepted = Runs(photographs, lambda table: table["error_px"].where(table["status"] == Status.OK))
     rows = []
     for threshold in thresholds_px:
         for group, member in photographs.groups.items():
@@ -111,6 +117,8 @@ def success_table(photographs: Photographs, *, thresholds_px: Sequence[float], d
                     row: dict[str, Any] = {"threshold_px": threshold, "group": group, "estimator": estimator}
                     row |= {"input": name, "pairs": len(own), "scenes": len(set(of_group))}
                     row |= {"successes": mean[0], "successes_sd": deviation[0]}
+                    ok = accepted.of(estimator, name)[member] < threshold
+                    row["successes_ok"] = float(ok.sum(axis=0).mean())
                     row["scene_share"] = scene_mean(rates, of_group)
                     if name != names[0]:
                         row |= _gains(base, rates, of_group, draws, child)
@@ -134,7 +142,9 @@ def _cells(name: str, interval: Interval, scenes: Sequence[str]) -> dict[str, fl
     return cells if len(set(scenes)) > 1 else cells | dict.fromkeys((f"{name}_low", f"{name}_high"), np.nan)
 
 
-def geometry_table(photographs: Photographs, *, pose_deg: Sequence[float], recall_at: float) -> pd.DataFrame:
+def geometry_table(
+    photographs: Photographs, *, pose_deg: Sequence[float], recall_at: float, success_px: float
+) -> pd.DataFrame:
     """Return poses and distances by group, estimator and input.
 
     Parameters
@@ -145,15 +155,19 @@ def geometry_table(photographs: Photographs, *, pose_deg: Sequence[float], recal
         Limits of the area under the curve of pose errors, degrees.
     recall_at : float
         A run is recalled below this normalised symmetric geometric distance.
+    success_px : float
+        Of success, pixels.
 
     Returns
     -------
     DataFrame
         ``group, estimator, input``; ``cameras``, pairs with a known pose, and ``auc_<limit>`` over these, then
-        ``scene_auc_<limit>``, averaged over scenes; ``true_F``, pairs with a true F, ``distance_recall`` and
-        ``median_distance`` over these. A run without F counts as a failure; NaN where there is no such pair.
+        ``scene_auc_<limit>``, averaged over scenes; ``posed_successes``, successful runs of these pairs, and
+        ``wrong_poses``, those of them whose pose is off by more than the highest limit; ``true_F``, pairs with a true
+        F, ``distance_recall`` and ``median_distance`` over these. A run without F counts as a failure; NaN where there
+        is no such pair.
     """
-    poses, distances = pose_runs(photographs), distance_runs(photographs)
+    poses, distances, errors = pose_runs(photographs), distance_runs(photographs), error_runs(photographs)
     scenes = np.array(photographs.scenes)
     with_pose, with_F = (_ever(photographs, column) for column in ("translation_deg", "distance"))
     rows = []
@@ -168,6 +182,9 @@ def geometry_table(photographs: Photographs, *, pose_deg: Sequence[float], recal
                     area = np.clip(1 - angle / limit, 0, 1).mean(axis=1)
                     row |= {f"auc_{limit:g}": float(area.mean())}
                     row |= {f"scene_auc_{limit:g}": scene_mean(area, scenes[posed].tolist())}
+                right = errors.of(estimator, name)[posed] < success_px
+                row["posed_successes"] = int(right.sum())
+                row["wrong_poses"] = int((right & (angle > max(pose_deg))).sum())
                 row["true_F"] = int(true.sum())
                 if true.any():
                     row["distance_recall"] = float((distance < recall_at).mean())
@@ -188,9 +205,9 @@ def ranking_table(photographs: Photographs, *, draws: int, seed: int) -> pd.Data
     Returns
     -------
     DataFrame
-        ``group, ranking, pairs``; `RANKING_MEASURES`; ``scene_precision_100``, averaged over scenes; and against
-        Lowe's order ``precision_gain``, the difference of precision at 100, with the ends of its 95 % interval over
-        scenes, NaN for a group of one scene.
+        ``group, ranking, pairs``; `RANKING_MEASURES`; ``scene_<name>`` of `SCENE_MEASURES`, averaged over scenes; and
+        against Lowe's order ``precision_gain``, the difference of precision at 100, with the ends of its 95 % interval
+        over scenes, NaN for a group of one scene.
     """
     rows = []
     member_of = {group: set(photographs.pairs["pair"][member]) for group, member in photographs.groups.items()}
@@ -202,7 +219,7 @@ def ranking_table(photographs: Photographs, *, draws: int, seed: int) -> pd.Data
             row: dict[str, Any] = {"group": group, "ranking": ranking, "pairs": len(table)}
             row |= {name: float(table[name].mean()) for name in RANKING_MEASURES}
             scenes = [str(scene) for scene in table["scene"]]
-            row["scene_precision_100"] = scene_mean(table["precision_100"].to_numpy(np.float64), scenes)
+            row |= {f"scene_{name}": scene_mean(table[name].to_numpy(np.float64), scenes) for name in SCENE_MEASURES}
             if ranking != LOWE:
                 gain = table["precision_100"] - tables[LOWE]["precision_100"]
                 child = child_seed(seed, "ranking", group, ranking)
@@ -213,7 +230,16 @@ def ranking_table(photographs: Photographs, *, draws: int, seed: int) -> pd.Data
 
 
 def calibration_table(photographs: Photographs) -> pd.DataFrame:
-    """Return Brier score and expected calibration error by group and preset; groups without labels have no row."""
+    """Return how far probabilities are right, by group and preset; groups without labels have no row.
+
+    Returns
+    -------
+    DataFrame
+        ``group, preset, matches, right, brier_score, expected_calibration_error``; ``lowest_share``, the share of the
+        matches in the lowest bin, and ``upper_error``, the calibration error of all others; ``gap_stated, gap_right``,
+        mean probability and share of right matches in the bin where they differ most, and ``top_stated, top_right`` in
+        the highest one, among bins of enough matches.
+    """
     rows = []
     for group, member in photographs.groups.items():
         pairs = set(photographs.pairs["pair"][member])
@@ -222,8 +248,21 @@ def calibration_table(photographs: Photographs) -> pd.DataFrame:
             sums = calibration_sums(part[part["preset"] == preset])
             row = {"group": group, "preset": preset, "matches": int(sums.count.sum()), "right": int(sums.right.sum())}
             row |= {"brier_score": sums.brier_score, "expected_calibration_error": sums.expected_calibration_error}
-            rows.append(row)
+            rows.append(row | _bins(sums))
     return pd.DataFrame(rows)
+
+
+def _bins(sums: CalibrationBins) -> dict[str, float]:
+    """Return what single bins say, since the lowest holds most matches and hides the others."""
+    found = {"lowest_share": float(sums.count[0] / sums.count.sum())}
+    upper = CalibrationBins(**{name: values[1:] for name, values in vars(sums).items()})
+    found["upper_error"] = upper.expected_calibration_error
+    enough = np.flatnonzero(sums.count >= _ENOUGH)
+    if len(enough):
+        stated, right = (values[enough] / sums.count[enough] for values in (sums.probability, sums.right))
+        for name, k in (("gap", int(np.argmax(np.abs(stated - right)))), ("top", -1)):
+            found |= {f"{name}_stated": float(stated[k]), f"{name}_right": float(right[k])}
+    return found
 
 
 def group_verdicts(photographs: Photographs, threshold_px: float) -> pd.DataFrame:

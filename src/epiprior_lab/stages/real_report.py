@@ -35,7 +35,6 @@ def main() -> None:
         draw_cases(
             cases,
             pairs,
-            estimator=report.gallery.estimator,
             hand_overs=real_hand_overs(params),
             photographs=GALLERY,
             frames=OUT / "gallery",
