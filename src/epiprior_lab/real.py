@@ -1,6 +1,6 @@
 """The three inputs on photographs: X_L as in the paper, `snn`, and ours, to the same estimator.
 
-Nothing in training or in the choice of settings has seen these photographs. Sets are kept in the uniform
+Neither training nor the search of hand-overs sees these photographs. Sets are kept in the uniform
 layout of `epiprior_lab.datasets`.
 """
 
