@@ -136,10 +136,7 @@ def load_photograph(image: View, max_image_size: int = 1024) -> Photograph:
                 f"a photograph of {image.grey.shape[::-1]} was not loaded at max_image_size {max_image_size}"
             )
         return image
-    if isinstance(image, str | Path):
-        grey = read_image(Path(image), cv2.IMREAD_GRAYSCALE)
-    else:
-        grey = _grey_of_array(image)
+    grey = read_image(Path(image), cv2.IMREAD_GRAYSCALE) if isinstance(image, str | Path) else _grey_of_array(image)
     height, width = grey.shape
     size = working_size((width, height), max_image_size)
     if size != (width, height):
