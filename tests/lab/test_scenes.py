@@ -7,8 +7,16 @@ import numpy as np
 import pytest
 
 from epiprior.errors import ImageError, SettingsError
-from epiprior_lab.datasets import Camera, fundamental_from_cameras, reproject, view_difference
-from epiprior_lab.ground_truth import control_points_from_depth, errors_px
+from epiprior_lab.datasets import (
+    Camera,
+    encode_depth,
+    fundamental_from_cameras,
+    read_pair_set,
+    reproject,
+    view_difference,
+    write_pair_set,
+)
+from epiprior_lab.ground_truth import LabelSettings, control_points_from_depth, errors_px
 from epiprior_lab.parallel import Task, map_tasks
 from epiprior_lab.scenes import FAMILIES, SceneError, pairs, render_pair, textures
 from epiprior_lab.scenes.camera_pairs import look_at
@@ -24,7 +32,9 @@ from epiprior_lab.scenes.world import (
     WorldBuilder,
     upright,
 )
-from epiprior_lab.stages.render import render
+from epiprior_lab.seeds import child_seed
+from epiprior_lab.solvable import right_among_putative
+from epiprior_lab.stages.render import render, render_solvable
 from worlds import HEIGHT, OVERCAST_FROM_ASIDE, WIDTH, camera_at, coloured, no_shadows, room
 
 SMALL = {"width": 256, "height": 192}
@@ -223,6 +233,35 @@ def test_bytes_do_not_depend_on_the_number_of_workers():
     for a, b in zip(one, two, strict=True):
         assert (a.jpeg1, a.jpeg2, a.depth1, a.depth2) == (b.jpeg1, b.jpeg2, b.depth1, b.depth2)
         np.testing.assert_array_equal(a.camera2.t, b.camera2.t)
+
+
+def test_a_pair_with_too_few_right_matches_is_drawn_anew(monkeypatch):
+    found = iter([14, 3, 15, 99])
+    monkeypatch.setattr("epiprior_lab.stages.render.right_among_putative", lambda pair, labels: next(found))
+    size = {"family": "open", "width": 128, "height": 96, "jpeg_quality": 92}
+    labels = LabelSettings()
+    chosen = render_solvable(pair_id="p", seed=5, least_right=15, labels=labels, **size)
+    assert next(found) == 99  # the third draw was taken
+    third = render(pair_id="p", seed=child_seed(5, "2"), **size)
+    assert (chosen.pair_id, chosen.jpeg1, chosen.depth2) == ("p", third.jpeg1, third.depth2)
+    every = render_solvable(pair_id="p", seed=5, least_right=0, labels=labels, **size)
+    assert every.jpeg1 == render(pair_id="p", seed=5, **size).jpeg1
+    monkeypatch.setattr("epiprior_lab.stages.render.right_among_putative", lambda pair, labels: 0)
+    with pytest.raises(SceneError, match="none of 20 draws has 15 right"):
+        render_solvable(pair_id="p", seed=5, least_right=15, labels=labels, **size)
+
+
+def test_right_matches_are_counted_by_depth(tmp_path):
+    size = {"family": "facades-easy", "width": 512, "height": 384, "jpeg_quality": 92}
+    write_pair_set(tmp_path, [render(pair_id="p", seed=3, **size)])
+    pair = read_pair_set(tmp_path).pairs[0]
+    count = right_among_putative(pair, LabelSettings())
+    assert count > 50
+    assert 0 < right_among_putative(pair, LabelSettings(tolerance_px=0.3, tolerance_sigma=0.0)) < count
+    # Depths of another scene confirm nothing.
+    for path in pair.depth_paths:
+        path.write_bytes(encode_depth(np.full((384, 512), 2.0, np.float32)))
+    assert right_among_putative(read_pair_set(tmp_path).pairs[0], LabelSettings()) < 0.1 * count
 
 
 def test_scenes_without_two_views_are_an_error_that_names_the_seed(monkeypatch):

@@ -1,16 +1,52 @@
-"""Stage `render`: the scenes of one split, a pair set per family."""
+"""Stage `render`: the scenes of one split, a pair set per family.
+
+Pairs that are evaluated, of validation and test, have to be solvable: a scene with too few right matches among X is
+drawn anew. Training takes every scene.
+"""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from epiprior_lab.datasets import PairFiles, encode_depth, write_pair_set
+from epiprior_lab.datasets import PairFiles, encode_depth, read_pair_set, write_pair_set
+from epiprior_lab.ground_truth import LabelSettings
 from epiprior_lab.parallel import Task, default_workers, map_tasks
 from epiprior_lab.params import load_params
-from epiprior_lab.scenes import render_pair
+from epiprior_lab.scenes import SceneError, render_pair
 from epiprior_lab.scenes.photography import encode_jpeg
 from epiprior_lab.seeds import child_seed
+from epiprior_lab.solvable import right_among_putative
+
+LEAST_RIGHT = 15  # right matches among X, of pairs that are evaluated
+_DRAWS = 20
+
+
+def render_solvable(
+    *, seed: int, least_right: int, labels: LabelSettings, pair_id: str, family: str, **size: int
+) -> PairFiles:
+    """Return the first of some draws whose X holds at least `least_right` right matches; of 0, the first.
+
+    Raises
+    ------
+    SceneError
+        If there is none in 20 draws.
+    """
+    for draw in range(_DRAWS):
+        # The first draw is that of the seed itself.
+        own = child_seed(seed, str(draw)) if draw else seed
+        files = render(pair_id=pair_id, family=family, seed=own, **size)
+        if least_right == 0 or _right(files, labels) >= least_right:
+            return files
+    raise SceneError(f"{pair_id}: none of {_DRAWS} draws has {least_right} right matches among X")
+
+
+def _right(files: PairFiles, labels: LabelSettings) -> int:
+    with TemporaryDirectory() as folder:
+        write_pair_set(Path(folder), [files])
+        return right_among_putative(read_pair_set(folder).pairs[0], labels)
 
 
 def render(*, pair_id: str, family: str, seed: int, width: int, height: int, jpeg_quality: int) -> PairFiles:
@@ -36,7 +72,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--split", required=True, choices=("train", "validation", "test"))
     split = parser.parse_args().split
-    scenes = load_params().scenes
+    params = load_params()
+    scenes, truth = params.scenes, asdict(params.ground_truth)
+    labels = LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__})
     names = {
         family: [f"{family}-{split}-{number:04d}" for number in range(getattr(scenes.pairs, split)[family])]
         for family in scenes.families
@@ -48,6 +86,8 @@ def main() -> None:
                 "pair_id": name,
                 "family": family,
                 "seed": child_seed(scenes.seed, "render", name),
+                "least_right": 0 if split == "train" else LEAST_RIGHT,
+                "labels": labels,
                 "width": scenes.image_width,
                 "height": scenes.image_height,
                 "jpeg_quality": scenes.jpeg_quality,
@@ -57,7 +97,7 @@ def main() -> None:
         for name in members
     ]
     store = Path("data/.tasks/render") / split
-    rendered = map_tasks(render, tasks, workers=default_workers(), description=f"render, {split}", store=store)
+    rendered = map_tasks(render_solvable, tasks, workers=default_workers(), description=f"render, {split}", store=store)
     by_name = {pair.pair_id: pair for pair in rendered}
     for family, members in names.items():
         write_pair_set(Path("data/scenes") / split / family, [by_name[name] for name in members])
