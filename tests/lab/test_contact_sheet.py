@@ -1,11 +1,13 @@
 """The contact sheet of rendered pairs."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from epiprior_lab.datasets import DatasetError, Pair
-from epiprior_lab.reports.contact_sheet import contact_sheet
+from epiprior_lab.reports.contact_sheet import _caption, contact_sheet
 
 
 def pair_of(tmp_path, name, colour, shape=(90, 120)):
@@ -21,6 +23,12 @@ def pair_of(tmp_path, name, colour, shape=(90, 120)):
         camera2=None,
         difficulty="angle=30.0deg;overlap=0.40",
     )
+
+
+@pytest.mark.parametrize(("roll", "shown"), [(348, -12), (180, 180), (181, -179), (0, 0), (-7, -7)])
+def test_a_roll_is_at_most_half_a_turn(tmp_path, roll, shown):
+    pair = replace(pair_of(tmp_path, "p", (0, 0, 255)), difficulty=f"overlap=0.50;roll={roll}deg")
+    assert _caption(pair) == f"overlap 0.50   roll {shown}°"
 
 
 def test_every_pair_is_on_the_sheet(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from epiprior_lab.scenes.world import Image
 _THUMBNAIL = (384, 288)
 _GAP = 8
 _PANEL_INCHES = (3.6, 1.78)
+_ROLL = re.compile(r"roll=(-?\d+)deg")
 
 
 def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
@@ -100,6 +102,7 @@ def _thumbnail(path: Path) -> Image:
 
 
 def _caption(pair: Pair) -> str:
-    """Return what makes a pair easy or hard, for a reader."""
-    parts = [part.replace("=", " ").replace("deg", "°") for part in pair.difficulty.split(";") if part]
+    """Return what makes a pair easy or hard, for a reader; a roll from -179 to 180 degrees."""
+    turned = _ROLL.sub(lambda found: f"roll={(int(found[1]) + 179) % 360 - 179}deg", pair.difficulty)
+    parts = [part.replace("=", " ").replace("deg", "°") for part in turned.split(";") if part]
     return "   ".join(parts) or pair.pair_id

@@ -9,9 +9,11 @@ import cv2
 import numpy as np
 
 from epiprior.baselines import standard_matches
+from epiprior.captions import Picture, draw_label
 from epiprior.draw import DrawSettings, draw_matches
 from epiprior.fundamental import estimate_fundamental
 from epiprior.preprocess import rank_matches
+from epiprior.types import FundamentalEstimate, MatchSet
 from epiprior_lab.datasets import Pair
 from epiprior_lab.reports.study import Study, errors_of
 
@@ -41,8 +43,8 @@ def example_figure(pair: Pair, path: Path) -> Path:
     after = estimate_fundamental(*images, estimator=ESTIMATOR, ranked=ranked)
     used = next((found for found in ranked.sets if found.roll_deg == after.roll_deg), ranked.sets[0])
     pictures = [
-        draw_matches(*images, standard_matches(*images), before, settings=settings),
-        draw_matches(*images, used, after, settings=settings),
+        _drawn(images, standard_matches(*images), before, settings),
+        _drawn(images, used, after, settings),
     ]
     height = max(len(picture) for picture in pictures)
     padded = [
@@ -55,3 +57,13 @@ def example_figure(pair: Pair, path: Path) -> Path:
     _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(picture[:, :, ::-1]), quality)
     path.write_bytes(encoded.tobytes())
     return path
+
+
+def _drawn(
+    images: tuple[Path, Path], matches: MatchSet, estimate: FundamentalEstimate, settings: DrawSettings
+) -> Picture:
+    """Return matches and epipolar lines, or a line that says why there are none."""
+    picture = draw_matches(*images, matches, estimate, settings=settings)
+    if estimate.F is not None:
+        return picture
+    return np.vstack([picture, draw_label(picture.shape[1], f"no epipolar lines: {estimate.message}")])
