@@ -368,7 +368,9 @@ def test_points_that_fit_no_given_matrix_are_found_when_the_set_is_written(liste
     (listed / "t.csv").write_text(
         "image1,image2,points,fundamental\nobject0041.view01.png,object0041.view02.png,a.txt,F.txt\n"
     )
-    with pytest.raises(DatasetError, match=r"view02\.csv: the F .*view02\.txt of pair .* does not fit"):
+    with pytest.raises(
+        DatasetError, match=r"pairs\.csv, line 2: the F .*view02\.txt of pair .* does not fit .*view02\.csv"
+    ):
         write_found(tmp_path / "set", find_pairs(listed / "t.csv"))
     assert not (tmp_path / "set").exists()
 
