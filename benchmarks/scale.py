@@ -17,8 +17,8 @@ import time
 from pathlib import Path
 
 import epiprior
-from epiprior_lab.datasets import Pair, read_pair_set
-from epiprior_lab.parallel import single_threaded
+from epiprior_lab.compute.tasks import single_threaded
+from epiprior_lab.pairsets import Pair, read_pair_set
 
 MILLION = 1_000_000
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 import epiprior
-from epiprior.features import FeatureSettings, detect_features, load_photograph
+from epiprior.features.detect import FeatureSettings, detect_features, load_photograph
 from epiprior.presets import PRESETS, PreprocessSettings
 
 

@@ -24,19 +24,19 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from epiprior.chance import chance_rate
-from epiprior.degeneracy import LEVELS, DecidedLevels, PlaneEvidence, plane_evidence
-from epiprior.estimate import estimate_from_matches
-from epiprior.estimators.verdict import judge
-from epiprior.handover import HandOver, hand_over, load_hand_overs
+from epiprior.estimators.handover import HandOver, hand_over, load_hand_overs
+from epiprior.estimators.run import estimate_from_matches
 from epiprior.types import FloatArray, Status
-from epiprior_lab.datasets import Pair
-from epiprior_lab.ground_truth import control_points_from_depth, errors_px
-from epiprior_lab.matching import PairMatches, match_pair
+from epiprior.verification.chance import chance_rate
+from epiprior.verification.degeneracy import LEVELS, DecidedLevels, PlaneEvidence, plane_evidence
+from epiprior.verification.verdict import judge
+from epiprior_lab.compute.seeds import child_seed
+from epiprior_lab.features.matching import PairMatches, match_pair
+from epiprior_lab.labels.ground_truth import control_points_from_depth, errors_px
+from epiprior_lab.pairsets import Pair
 from epiprior_lab.scenes import render_pair
 from epiprior_lab.scenes.photography import draw_photograph, take
 from epiprior_lab.scenes.textures import photograph
-from epiprior_lab.seeds import child_seed
 
 SEED = 90210
 FAMILIES = ("facades-easy", "facades-hard", "open", "rolled")

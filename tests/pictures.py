@@ -32,3 +32,12 @@ def save(path: Path, picture: NDArray[np.uint8]) -> Path:
     """Write a grey or RGB picture and return its path."""
     assert cv2.imwrite(str(path), picture if picture.ndim == 2 else picture[:, :, ::-1])
     return path
+
+
+def rotated(image, angle_deg):
+    """Turn an image clockwise on the screen, onto a canvas that holds it; also return the map of points."""
+    h, w = image.shape
+    side = int(np.hypot(h, w)) + 2
+    A = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), -angle_deg, 1.0)
+    A[:, 2] += ((side - 1) / 2 - (w - 1) / 2, (side - 1) / 2 - (h - 1) / 2)
+    return cv2.warpAffine(image, A, (side, side), flags=cv2.INTER_CUBIC, borderValue=128), A

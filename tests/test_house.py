@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from epiprior_lab.source_graph import SOURCE, source_files
+from epiprior_lab.compute.source_graph import SOURCE, source_files
 
 ROOT = Path(__file__).parents[1]
 PIPELINE = yaml.safe_load((ROOT / "dvc.yaml").read_text(encoding="utf-8"))["stages"]

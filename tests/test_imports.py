@@ -50,7 +50,7 @@ def test_no_module_of_the_library_mentions_the_workspace_in_an_import():
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads as Linux shows them")
 def test_onnxruntime_has_no_thread_that_reports():
     """Besides reporting, it draws from the generator that pydegensac has seeded."""
-    program = "import os, epiprior.models; print(len(os.listdir('/proc/self/task')))"
+    program = "import os, epiprior.ranking.models; print(len(os.listdir('/proc/self/task')))"
     limits = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
     environment = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"} | limits
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment)

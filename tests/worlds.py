@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from epiprior_lab.datasets import Camera
+from epiprior_lab.pairsets import Camera
 from epiprior_lab.scenes.camera_pairs import look_at
 from epiprior_lab.scenes.light import Light
 from epiprior_lab.scenes.shadows import cast_shadows

@@ -12,8 +12,6 @@ from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from epiprior.baselines import generalized_matches, snn_matches, standard_matches
-    from epiprior.cascade import CascadeRule
     from epiprior.errors import (
         EpipriorError,
         EstimatorError,
@@ -24,13 +22,15 @@ if TYPE_CHECKING:
         SettingsError,
     )
     from epiprior.estimators import estimators
-    from epiprior.features import FeatureSettings
-    from epiprior.fundamental import estimate_fundamental
-    from epiprior.handover import HandOver
-    from epiprior.models import load_model
-    from epiprior.preprocess import rank_matches
+    from epiprior.estimators.handover import HandOver
+    from epiprior.features.detect import FeatureSettings
+    from epiprior.matching.baselines import generalized_matches, snn_matches, standard_matches
     from epiprior.presets import PreprocessSettings
+    from epiprior.rank import rank_matches
+    from epiprior.ranking.models import load_model
+    from epiprior.two_view import estimate_fundamental
     from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
+    from epiprior.verification.cascade import CascadeRule
 
 __version__ = metadata.version("epiprior")
 
@@ -40,7 +40,7 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 # Names are imported when they are first used, so that `epiprior --help` need not wait for compiled libraries.
 _HOMES = {
-    "CascadeRule": "cascade",
+    "CascadeRule": "verification.cascade",
     "EpipriorError": "errors",
     "EstimatorError": "errors",
     "FeatureError": "errors",
@@ -48,20 +48,20 @@ _HOMES = {
     "ModelError": "errors",
     "OutputError": "errors",
     "SettingsError": "errors",
-    "FeatureSettings": "features",
+    "FeatureSettings": "features.detect",
     "Features": "types",
     "FundamentalEstimate": "types",
-    "HandOver": "handover",
+    "HandOver": "estimators.handover",
     "MatchSet": "types",
     "PreprocessSettings": "presets",
     "RankedMatches": "types",
     "Status": "types",
-    "estimate_fundamental": "fundamental",
-    "generalized_matches": "baselines",
-    "load_model": "models",
-    "rank_matches": "preprocess",
-    "snn_matches": "baselines",
-    "standard_matches": "baselines",
+    "estimate_fundamental": "two_view",
+    "generalized_matches": "matching.baselines",
+    "load_model": "ranking.models",
+    "rank_matches": "rank",
+    "snn_matches": "matching.baselines",
+    "standard_matches": "matching.baselines",
 }
 
 __all__ = [

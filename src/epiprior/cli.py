@@ -13,8 +13,8 @@ from typer.core import TyperGroup
 
 from epiprior.commands import inventory, photographs
 from epiprior.commands.options import BAD_INPUT
+from epiprior.commands.printing import complain
 from epiprior.errors import EpipriorError
-from epiprior.printing import complain
 
 
 class _Commands(TyperGroup):

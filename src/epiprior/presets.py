@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from epiprior.errors import SettingsError
-from epiprior.features import FeatureSettings
-from epiprior.probabilities import DEFAULT_MATCH_COLUMNS, PAPER_MATCH_COLUMNS
-from epiprior.two_keypoints import DEFAULT_COLUMNS, PAPER_COLUMNS
+from epiprior.features.detect import FeatureSettings
+from epiprior.ranking.probabilities import DEFAULT_MATCH_COLUMNS, PAPER_MATCH_COLUMNS
+from epiprior.ranking.two_keypoints import DEFAULT_COLUMNS, PAPER_COLUMNS
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:

@@ -178,7 +178,7 @@ class MatchSet:
 
     def one_to_one(self) -> MatchSet:
         """Walk down the ranking and drop every match whose feature, in either image, was used before."""
-        from epiprior.selection import one_to_one_mask
+        from epiprior.matching.selection import one_to_one_mask
 
         return self.take(one_to_one_mask(self.feature1, self.feature2))
 
@@ -251,9 +251,10 @@ class FundamentalEstimate:
         Wall time per step.
     spread : int
         How much of the images the inliers cover: in how many cells of 48 x 48 pixels at working size they lie, of the
-        two images the fewer (`epiprior.spread`).
+        two images the fewer (`epiprior.verification.spread`).
     plausibility : float
-        Of `raw_F`, in [0, 1]: whether two ordinary cameras can have it (`epiprior.plausibility`). No match takes part
+        Of `raw_F`, in [0, 1]: whether two ordinary cameras can have it (`epiprior.verification.plausibility`). No
+        match takes part
         in it, so that it tells more of an F with much support than the support does. NaN without an F, and where the
         sizes of the images are unknown: not known is not plausible.
     """

@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from epiprior.errors import EpipriorError
-from epiprior_lab.importers.commands import register as register_importers
-from epiprior_lab.label.command import label
+from epiprior_lab.labels.by_hand.command import label
+from epiprior_lab.pairsets.importers.commands import register as register_importers
 
 app = typer.Typer(
     help="Workspace of epiprior: evidence on photographs, registered models, the lock of the pipeline.",
@@ -31,7 +31,7 @@ def real(
     ] = None,
 ) -> None:
     """Evaluate the exported model on sets of photographs, against both baselines."""
-    from epiprior_lab.real import run_real
+    from epiprior_lab.evaluation.folders import run_real
 
     run_real(datasets, sets=sets, seeds=seeds, out=out, scheduler=scheduler)
 
@@ -42,8 +42,8 @@ def link_sets(
     params: Annotated[Path, typer.Option(help="Parameters that name the sets.")] = Path("benchmarks/real/params.yaml"),
 ) -> None:
     """Link the pair sets of the benchmark on photographs into data/real."""
-    from epiprior_lab.photographs.params import load_real_params
-    from epiprior_lab.photographs.sets import link_sets
+    from epiprior_lab.evaluation.photographs.params import load_real_params
+    from epiprior_lab.evaluation.photographs.sets import link_sets
 
     for path in link_sets(load_real_params(params).sets, source):
         typer.echo(f"{path} -> {path.resolve()}" if path.is_symlink() else str(path))
@@ -65,7 +65,7 @@ def readme(
     root: Annotated[Path, typer.Option(help="Root of the repository.")] = Path(),
 ) -> None:
     """Write the result tables of the README anew from the reports."""
-    from epiprior_lab.readme import update_readme
+    from epiprior_lab.report.readme import update_readme
 
     typer.echo("README.md: tables written" if update_readme(root) else "README.md: its tables are those of the reports")
 

@@ -21,11 +21,11 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from epiprior.errors import EpipriorError
-from epiprior.models import TARGETS
+from epiprior.ranking.models import TARGETS
 from epiprior.types import BoolArray, Float32Array, FloatArray
-from epiprior_lab.calibration import reliability
-from epiprior_lab.metrics import precision_recall
-from epiprior_lab.training import CrossValidation
+from epiprior_lab.training.calibration import reliability
+from epiprior_lab.training.cross_validation import CrossValidation
+from epiprior_lab.training.metrics import precision_recall
 
 ALIAS = "champion"
 _LOG = logging.getLogger(__name__)

@@ -6,7 +6,7 @@ import yaml
 
 from epiprior.errors import SettingsError
 from epiprior.estimators import names
-from epiprior.handover import INPUTS
+from epiprior.estimators.handover import INPUTS
 from epiprior_lab.params import Params, load_params
 
 STUDY = Path(__file__).parents[2] / "params.yaml"

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from epiprior_lab import tracking
-from epiprior_lab.export import to_onnx
-from epiprior_lab.metrics import METRICS
+from epiprior_lab.export.onnx_files import to_onnx
 from epiprior_lab.tracking import TrackedFamily, TrackingError, promote, repository_root, track
-from epiprior_lab.training import cross_validate, fit_final
+from epiprior_lab.training.cross_validation import cross_validate, fit_final
+from epiprior_lab.training.metrics import METRICS
 from grouped_rows import COLUMNS, make_rows
 
 ROWS = make_rows(900)

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from epiprior.commands.options import Json
+from epiprior.commands.printing import entries, print_json, print_table
 from epiprior.errors import ModelError
-from epiprior.printing import entries, print_json, print_table
 
 
 def info(
@@ -22,7 +22,7 @@ def info(
 
     epiprior info models/paper --json
     """
-    from epiprior.models import load_model
+    from epiprior.ranking.models import load_model
 
     folder = _model_folder(model)
     loaded = load_model(folder)
@@ -52,7 +52,7 @@ def estimators(as_json: Json = False) -> None:
 
 
 def _model_folder(model: str) -> Path:
-    from epiprior.models import find_model
+    from epiprior.ranking.models import find_model
 
     if any(slash in model for slash in "/\\"):
         return Path(model)

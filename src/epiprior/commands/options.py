@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from epiprior import mode
-from epiprior.printing import complain
+from epiprior.commands.printing import complain
 
 if TYPE_CHECKING:
     from epiprior.types import FundamentalEstimate

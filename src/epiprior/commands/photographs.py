@@ -23,7 +23,7 @@ from epiprior.commands.options import (
     Threshold,
     exit_by_status,
 )
-from epiprior.printing import complain, estimate_as_json, print_estimate, print_json, summary
+from epiprior.commands.printing import complain, estimate_as_json, print_estimate, print_json, summary
 
 
 def match(
@@ -114,7 +114,7 @@ def draw(
 
     check_output(out, PICTURES)
     from epiprior import estimate_fundamental, rank_matches, standard_matches
-    from epiprior.draw import DrawSettings, draw_matches, write_picture
+    from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
 
     ranked = rank_matches(image1, image2, preset=preset) if preprocess else None
     found = estimate_fundamental(

@@ -11,7 +11,7 @@ from __future__ import annotations
 from epiprior.estimators.loop import FROM_SUPPORT, Recipe
 from epiprior.estimators.own import LoopEstimator
 from epiprior.estimators.ratio_prior import probability_or_ratio_prior
-from epiprior.estimators.scores import SUPPORT
+from epiprior.kernels.scores import SUPPORT
 
 # Exploration: two oriented matches by their prior (a quarter of the samples: seven matches). Exploitation: local
 # optimisation of every hypothesis that beats all those before it. Local exploration: seven supporters, or supporters

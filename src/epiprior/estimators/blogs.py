@@ -12,7 +12,7 @@ import numpy as np
 from epiprior.estimators.loop import FROM_JOINT_DENSITY, Recipe
 from epiprior.estimators.own import LoopEstimator
 from epiprior.estimators.ratio_prior import inlier_probability
-from epiprior.estimators.scores import KERNEL
+from epiprior.kernels.scores import KERNEL
 from epiprior.types import FloatArray, MatchSet
 
 

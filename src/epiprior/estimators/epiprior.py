@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.compilation import announce_compilation
 from epiprior.estimators.epiprior_evidence import Evidence, match_weights, prior_probability
-from epiprior.estimators.epiprior_kernels import climb, refine_models
 from epiprior.estimators.epiprior_plane import plane_and_parallax
 from epiprior.estimators.epiprior_proposals import fit_samples, oriented_pairs, progressive_rows
 from epiprior.estimators.packages import package_version
 from epiprior.estimators.protocol import EstimatorSettings, RawModel
-from epiprior.estimators.samplers import generator_state
 from epiprior.geometry import MIN_MATCHES, sampson_distance
-from epiprior.plausibility import camera_plausibility
-from epiprior.spread import spread_groups
+from epiprior.kernels.compilation import announce_compilation
+from epiprior.kernels.epiprior_kernels import climb, refine_models
+from epiprior.kernels.samplers import generator_state
 from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
+from epiprior.verification.plausibility import camera_plausibility
+from epiprior.verification.spread import spread_groups
 
 # Thresholds in units of the inlier threshold: 1.5 px give 10, 8, 6, 4, 3, 2, 2, 1.5, 1.5.
 _SHRINKING = np.array([20 / 3, 16 / 3, 4.0, 8 / 3, 2.0, 4 / 3, 4 / 3, 1.0, 1.0])
@@ -54,7 +54,8 @@ class EpipriorEstimator:
     Deterministic: the seed changes nothing.
 
     Every choice among refined hypotheses follows one score: what the matches say, each part of the images once
-    (`epiprior.estimators.epiprior_evidence`), times the plausibility of the cameras (`epiprior.plausibility`). Local
+    (`epiprior.estimators.epiprior_evidence`), times the plausibility of the cameras
+    (`epiprior.verification.plausibility`). Local
     optimisation of one hypothesis climbs its first factor alone.
     """
 

@@ -3,7 +3,7 @@
 Why not the sum of the probabilities alone: matches are not independent witnesses. A window that was taken for its
 neighbour brings ten matches that agree with one another, and with every F that agrees with one of them. So matches that
 lead from one small part of image 1 to one small part of image 2 speak once, by the best of them. And F itself must be
-one that two photographs can have (`epiprior.plausibility`): this evidence comes from no match at all.
+one that two photographs can have (`epiprior.verification.plausibility`): this evidence comes from no match at all.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.estimators.epiprior_kernels import score_models
 from epiprior.geometry import centred_columns
-from epiprior.plausibility import camera_plausibility
-from epiprior.refine import SCORE_THRESHOLD_PX
-from epiprior.spread import spread_groups
+from epiprior.kernels.epiprior_kernels import score_models
+from epiprior.kernels.refine import SCORE_THRESHOLD_PX
 from epiprior.types import Float32Array, FloatArray, IntArray, MatchSet
+from epiprior.verification.plausibility import camera_plausibility
+from epiprior.verification.spread import spread_groups
 
 CHANCE = 0.02
 WITHOUT_RATIO = 0.5

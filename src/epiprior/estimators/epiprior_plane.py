@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from epiprior.degeneracy import fit_homography, homography_distance
 from epiprior.geometry import sampson_distance
 from epiprior.types import FloatArray
+from epiprior.verification.degeneracy import fit_homography, homography_distance
 
 _NONE = np.empty((0, 3, 3))
 

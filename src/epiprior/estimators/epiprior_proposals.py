@@ -9,7 +9,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from epiprior.estimators.epiprior_kernels import fit_weighted
+from epiprior.kernels.epiprior_kernels import fit_weighted
 from epiprior.types import FloatArray, IntArray, MatchSet
 
 FRAME_RADIUS = 6.0

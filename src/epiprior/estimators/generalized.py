@@ -10,7 +10,7 @@ from __future__ import annotations
 from epiprior.estimators.loop import Recipe
 from epiprior.estimators.own import LoopEstimator
 from epiprior.estimators.ratio_prior import probability_or_ratio_prior
-from epiprior.estimators.scores import SUPPORT
+from epiprior.kernels.scores import SUPPORT
 
 # Seven matches by their probability, no two at one point; support is the truncated quadratic (MSAC), in which a match
 # counts by its probability: the candidates of a feature share one vote.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from epiprior.estimators.loop import Recipe
 from epiprior.estimators.own import LoopEstimator
 from epiprior.estimators.ratio_prior import probability_or_ratio_prior
-from epiprior.estimators.scores import LIKELIHOOD
+from epiprior.kernels.scores import LIKELIHOOD
 
 # It needs calibrated probabilities: without preprocessing they come from the distance ratio.
 ESTIMATORS = (

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from epiprior.estimators.conditioned import condition
-from epiprior.estimators.local_steps import joint_feature_weights, optimise
 from epiprior.estimators.protocol import RawModel
-from epiprior.estimators.sample_checks import on_one_plane, same_side
-from epiprior.estimators.samplers import cumulated, fill_sample, generator_state, next_uniform
-from epiprior.estimators.scores import (
+from epiprior.kernels.conditioned import condition
+from epiprior.kernels.local_steps import joint_feature_weights, optimise
+from epiprior.kernels.sample_checks import on_one_plane, same_side
+from epiprior.kernels.samplers import cumulated, fill_sample, generator_state, next_uniform
+from epiprior.kernels.scores import (
     BLOCK,
     LIKELIHOOD,
     SUPPORT,
@@ -32,8 +32,8 @@ from epiprior.estimators.scores import (
     score,
     squared_residuals,
 )
-from epiprior.estimators.small_algebra import copy_matrix
-from epiprior.estimators.solvers import seven_point, two_oriented
+from epiprior.kernels.small_algebra import copy_matrix
+from epiprior.kernels.solvers import seven_point, two_oriented
 from epiprior.types import FloatArray, MatchSet
 
 NO_LOCAL, FROM_SUPPORT, FROM_JOINT_DENSITY = 0, 1, 2
@@ -52,7 +52,7 @@ class Recipe:
     Parameters
     ----------
     kind : int
-        `SUPPORT`, `LIKELIHOOD` or `KERNEL` of `epiprior.estimators.scores`.
+        `SUPPORT`, `LIKELIHOOD` or `KERNEL` of `epiprior.kernels.scores`.
     weighted : bool
         Whether a match counts by its probability in the score and in local optimisation, where matches carry
         probabilities; without, all count alike: a prior from descriptors alone is too weak to count by, measured

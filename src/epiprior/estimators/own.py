@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from epiprior.compilation import announce_compilation
 from epiprior.estimators.loop import Recipe, run_loop, search
 from epiprior.estimators.packages import package_version
 from epiprior.estimators.protocol import EstimatorSettings, RawModel
+from epiprior.kernels.compilation import announce_compilation
 from epiprior.types import FloatArray, MatchSet
 
 

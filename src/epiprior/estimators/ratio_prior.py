@@ -18,7 +18,8 @@ _STEPS = 50
 _LIMITS = (0.01, 0.99)
 _FLOOR = 1e-4
 
-# By `python -m epiprior_lab.ratio_densities` from the training scenes of the study: plain SIFT, all nearest neighbours.
+# By `python -m epiprior_lab.training.ratio_densities` from the training scenes of the study: plain SIFT, all nearest
+# neighbours.
 DENSITY_IN = np.array(
     [
         2.4e-05, 0.0004, 0.004, 0.018, 0.059, 0.154, 0.270, 0.388, 0.514,

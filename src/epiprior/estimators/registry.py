@@ -8,16 +8,16 @@ from numbers import Integral
 
 import numpy as np
 
-from epiprior.chance import distinct_count
 from epiprior.errors import EstimatorError, FeatureError, SettingsError
 from epiprior.estimators import beem, blogs, colmap, degensac, epiprior, generalized, guided_mlesac, opencv, poselib
 from epiprior.estimators.protocol import SEED_LIMIT, Estimator, EstimatorSettings
-from epiprior.estimators.verdict import judge
 from epiprior.geometry import MIN_MATCHES, as_points, normalise_fundamental, sampson_distance
-from epiprior.plausibility import known_plausibility
-from epiprior.selection import first_of_equal
-from epiprior.spread import spread_of
+from epiprior.matching.selection import first_of_equal
 from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
+from epiprior.verification.chance import distinct_count
+from epiprior.verification.plausibility import known_plausibility
+from epiprior.verification.spread import spread_of
+from epiprior.verification.verdict import judge
 
 _REGISTRY: dict[str, Estimator] = {
     estimator.name: estimator

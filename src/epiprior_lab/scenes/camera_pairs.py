@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.types import Float32Array, FloatArray
-from epiprior_lab.datasets import Camera, ViewDifference, covisible, depth_at, view_difference
+from epiprior_lab.pairsets import Camera, ViewDifference, covisible, depth_at, view_difference
 from epiprior_lab.scenes.render import render_depth
 from epiprior_lab.scenes.settings import FamilySettings
 from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Frame, World

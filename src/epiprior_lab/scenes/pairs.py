@@ -8,7 +8,7 @@ import numpy as np
 
 from epiprior.errors import EpipriorError, SettingsError
 from epiprior.types import Float32Array
-from epiprior_lab.datasets import Camera, ViewDifference
+from epiprior_lab.pairsets import Camera, ViewDifference
 from epiprior_lab.scenes.camera_pairs import draw_camera_pair
 from epiprior_lab.scenes.light import draw_light
 from epiprior_lab.scenes.open_scenes import draw_open_scene

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.types import Float32Array, FloatArray
-from epiprior_lab.datasets import Camera
+from epiprior_lab.pairsets import Camera
 from epiprior_lab.scenes import raster
 from epiprior_lab.scenes.light import Light, Shadows
 from epiprior_lab.scenes.world import BOTH_VIEWS, Image, World

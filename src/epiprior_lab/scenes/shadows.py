@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from epiprior.types import FloatArray
-from epiprior_lab.datasets import Camera
+from epiprior_lab.pairsets import Camera
 from epiprior_lab.scenes.light import Light, Shadows
 from epiprior_lab.scenes.render import render_depth
 from epiprior_lab.scenes.world import World

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from epiprior.handover import load_hand_overs
-from epiprior_lab.analysis import analyse_pairs
-from epiprior_lab.analysis_bench import AnalysisSettings
-from epiprior_lab.evaluation import study_pairs
-from epiprior_lab.ground_truth import LabelSettings
-from epiprior_lab.matching import PRESETS, model_files
-from epiprior_lab.parallel import default_workers, single_threaded
+from epiprior.estimators.handover import load_hand_overs
+from epiprior_lab.analysis.bench import AnalysisSettings
+from epiprior_lab.analysis.steps import analyse_pairs
+from epiprior_lab.compute.tasks import default_workers, single_threaded
+from epiprior_lab.evaluation.estimates import study_pairs
+from epiprior_lab.features.matching import PRESETS, model_files
+from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.params import load_params
-from epiprior_lab.reports.analysis_page import write_analysis
-from epiprior_lab.reports.analysis_tables import Analysis
-from epiprior_lab.reports.table1 import FamilyResults
+from epiprior_lab.report.analysis_page import write_analysis
+from epiprior_lab.report.analysis_tables import Analysis
+from epiprior_lab.report.table1 import FamilyResults
 
 DATA = Path("data/analysis")
 OUT = Path("reports/analysis")

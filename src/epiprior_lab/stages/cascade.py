@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pandas as pd
 
-from epiprior.cascade import save_cascade_rule
-from epiprior.handover import load_hand_overs
-from epiprior_lab.cascade_rule import PREPROCESSED, learn_rule, paired_runs, validation_rows
-from epiprior_lab.evaluation import study_pairs
-from epiprior_lab.matching import WITHOUT, model_files
-from epiprior_lab.parallel import default_workers
+from epiprior.estimators.handover import load_hand_overs
+from epiprior.verification.cascade import save_cascade_rule
+from epiprior_lab.compute.tasks import default_workers
+from epiprior_lab.evaluation.estimates import study_pairs
+from epiprior_lab.features.matching import WITHOUT, model_files
 from epiprior_lab.params import Params, load_params
-from epiprior_lab.reports.cascade_figure import cascade_figure
-from epiprior_lab.reports.cascade_tables import cascade_markdown, cascade_table
-from epiprior_lab.reports.study import COLUMNS, read_table
-from epiprior_lab.reports.tables import write_table
+from epiprior_lab.report.cascade_figure import cascade_figure
+from epiprior_lab.report.cascade_tables import cascade_markdown, cascade_table
+from epiprior_lab.report.study import COLUMNS, read_table
+from epiprior_lab.report.tables import write_table
+from epiprior_lab.selection.cascade_rule import PREPROCESSED, learn_rule, paired_runs, validation_rows
 
 OUT = Path("reports")
 

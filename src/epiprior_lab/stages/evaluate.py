@@ -6,11 +6,11 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from epiprior.handover import load_hand_overs
-from epiprior_lab.evaluation import evaluate_pairs, study_pairs
-from epiprior_lab.ground_truth import LabelSettings
-from epiprior_lab.matching import model_files
-from epiprior_lab.parallel import default_workers
+from epiprior.estimators.handover import load_hand_overs
+from epiprior_lab.compute.tasks import default_workers
+from epiprior_lab.evaluation.estimates import evaluate_pairs, study_pairs
+from epiprior_lab.features.matching import model_files
+from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.params import load_params
 
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from epiprior_lab.datasets import Pair, read_pair_set
-from epiprior_lab.ground_truth import LabelSettings
-from epiprior_lab.parallel import Task, default_workers, map_tasks
+from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
+from epiprior_lab.features.rows import extract_rows, rows_to_bytes
+from epiprior_lab.labels.ground_truth import LabelSettings
+from epiprior_lab.pairsets import Pair, read_pair_set
 from epiprior_lab.params import load_params
-from epiprior_lab.rows import extract_rows, rows_to_bytes
 
 
 def extract(pair: Pair, presets: Sequence[str], labels: LabelSettings) -> dict[str, list[bytes]]:

@@ -6,7 +6,10 @@ import argparse
 from pathlib import Path
 
 from epiprior.types import FloatArray
-from epiprior_lab.datasets import (
+from epiprior_lab.compute.seeds import child_seed
+from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
+from epiprior_lab.labels.ground_truth import control_points_from_depth
+from epiprior_lab.pairsets import (
     Pair,
     ViewDifference,
     read_pair_set,
@@ -14,10 +17,7 @@ from epiprior_lab.datasets import (
     write_control_points,
     write_table,
 )
-from epiprior_lab.ground_truth import control_points_from_depth
-from epiprior_lab.parallel import Task, default_workers, map_tasks
 from epiprior_lab.params import load_params
-from epiprior_lab.seeds import child_seed
 
 SUMMARY = ("pair_id", "scene", "angle_deg", "overlap", "scale_ratio", "roll_deg", "control_points")
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from epiprior.handover import save_hand_overs
-from epiprior_lab.evaluation import study_pairs, write_rows
-from epiprior_lab.hand_over_search import chosen_hand_overs, search_hand_overs
-from epiprior_lab.matching import model_files
-from epiprior_lab.parallel import default_workers
+from epiprior.estimators.handover import save_hand_overs
+from epiprior_lab.compute.tasks import default_workers
+from epiprior_lab.evaluation.estimates import study_pairs, write_rows
+from epiprior_lab.features.matching import model_files
 from epiprior_lab.params import load_params
+from epiprior_lab.selection.hand_over_search import chosen_hand_overs, search_hand_overs
 
 
 def main() -> None:

@@ -8,14 +8,14 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import track
 
-from epiprior.handover import load_hand_overs
-from epiprior_lab.evaluation import study_pairs
-from epiprior_lab.overhead import estimator_table, measure_pair, overhead_table
+from epiprior.estimators.handover import load_hand_overs
+from epiprior_lab.evaluation.estimates import study_pairs
+from epiprior_lab.evaluation.overhead import estimator_table, measure_pair, overhead_table
 from epiprior_lab.params import load_params
-from epiprior_lab.reports.cascade_tables import cascade_seconds
-from epiprior_lab.reports.study import COLUMNS, read_table
-from epiprior_lab.reports.tables import write_table
-from epiprior_lab.reports.timing_figures import estimator_figure, overhead_figure
+from epiprior_lab.report.cascade_tables import cascade_seconds
+from epiprior_lab.report.study import COLUMNS, read_table
+from epiprior_lab.report.tables import write_table
+from epiprior_lab.report.timing_figures import estimator_figure, overhead_figure
 
 OUT = Path("reports/timings")
 

@@ -6,13 +6,13 @@ import argparse
 import os
 from pathlib import Path
 
-from epiprior.handover import HandOver, load_hand_overs
-from epiprior_lab.datasets import read_pair_set
-from epiprior_lab.evaluation import HandOvers
-from epiprior_lab.matching import model_files
-from epiprior_lab.parallel import SCHEDULER_VARIABLE, default_workers
-from epiprior_lab.photographs.evaluation import evaluate_set
-from epiprior_lab.photographs.params import RealParams, load_real_params
+from epiprior.estimators.handover import HandOver, load_hand_overs
+from epiprior_lab.compute.tasks import SCHEDULER_VARIABLE, default_workers
+from epiprior_lab.evaluation.estimates import HandOvers
+from epiprior_lab.evaluation.photographs.evaluation import evaluate_set
+from epiprior_lab.evaluation.photographs.params import RealParams, load_real_params
+from epiprior_lab.features.matching import model_files
+from epiprior_lab.pairsets import read_pair_set
 
 
 def real_hand_overs(params: RealParams) -> HandOvers:

@@ -8,11 +8,11 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import track
 
-from epiprior.cascade import load_cascade_rule
-from epiprior_lab.datasets import Pair, read_pair_set
-from epiprior_lab.photographs.params import load_real_params
-from epiprior_lab.photographs.tables import write_real_table
-from epiprior_lab.photographs.timing import bounds_of_time, measure_pair, overhead_table
+from epiprior.verification.cascade import load_cascade_rule
+from epiprior_lab.evaluation.photographs.params import load_real_params
+from epiprior_lab.evaluation.photographs.timing import bounds_of_time, measure_pair, overhead_table
+from epiprior_lab.pairsets import Pair, read_pair_set
+from epiprior_lab.report.photographs.tables import write_real_table
 from epiprior_lab.stages.real_evaluate import real_hand_overs
 
 OUT = Path("reports/real/timings")

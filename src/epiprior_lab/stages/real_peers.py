@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from epiprior_lab.datasets import read_pair_set
-from epiprior_lab.parallel import default_workers
-from epiprior_lab.photographs.params import load_real_params
-from epiprior_lab.photographs.peer_matching import write_peer_matches
+from epiprior_lab.compute.tasks import default_workers
+from epiprior_lab.evaluation.photographs.params import load_real_params
+from epiprior_lab.evaluation.photographs.peer_matching import write_peer_matches
+from epiprior_lab.pairsets import read_pair_set
 
 
 def main() -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from epiprior.cascade import load_cascade_rule
-from epiprior_lab.datasets import read_pair_set
-from epiprior_lab.parallel import single_threaded
-from epiprior_lab.photographs.gallery import choose_cases, draw_cases
-from epiprior_lab.photographs.params import load_real_params
-from epiprior_lab.photographs.report import make_tables, write_report
-from epiprior_lab.photographs.results import Photographs
+from epiprior.verification.cascade import load_cascade_rule
+from epiprior_lab.compute.tasks import single_threaded
+from epiprior_lab.evaluation.photographs.params import load_real_params
+from epiprior_lab.pairsets import read_pair_set
+from epiprior_lab.report.photographs.gallery import choose_cases, draw_cases
+from epiprior_lab.report.photographs.report import make_tables, write_report
+from epiprior_lab.report.photographs.results import Photographs
 from epiprior_lab.stages.real_evaluate import real_hand_overs
 
 OUT = Path("reports/real")

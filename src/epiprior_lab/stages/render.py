@@ -11,14 +11,14 @@ from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from epiprior_lab.datasets import PairFiles, encode_depth, read_pair_set, write_pair_set
-from epiprior_lab.ground_truth import LabelSettings
-from epiprior_lab.parallel import Task, default_workers, map_tasks
+from epiprior_lab.compute.seeds import child_seed
+from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
+from epiprior_lab.labels.ground_truth import LabelSettings
+from epiprior_lab.labels.solvable import right_among_putative
+from epiprior_lab.pairsets import PairFiles, encode_depth, read_pair_set, write_pair_set
 from epiprior_lab.params import load_params
 from epiprior_lab.scenes import SceneError, render_pair
 from epiprior_lab.scenes.photography import encode_jpeg
-from epiprior_lab.seeds import child_seed
-from epiprior_lab.solvable import right_among_putative
 
 LEAST_RIGHT = 15  # right matches among X, of pairs that are evaluated
 _DRAWS = 20

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from epiprior_lab.evaluation import study_pairs
-from epiprior_lab.parallel import single_threaded
+from epiprior_lab.compute.tasks import single_threaded
+from epiprior_lab.evaluation.estimates import study_pairs
 from epiprior_lab.params import load_params
-from epiprior_lab.reports.contact_sheet import contact_sheet
-from epiprior_lab.reports.example import example_figure, rescued_pair
-from epiprior_lab.reports.report import write_report
-from epiprior_lab.reports.study import Study
+from epiprior_lab.report.contact_sheet import contact_sheet
+from epiprior_lab.report.example import example_figure, rescued_pair
+from epiprior_lab.report.report import write_report
+from epiprior_lab.report.study import Study
 
 OUT = Path("reports")
 SHOWN = "facades-hard"  # the family whose rescued pair is drawn

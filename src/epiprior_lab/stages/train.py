@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from epiprior_lab.classifiers import Comparison
-from epiprior_lab.model_training import PresetTraining, train_preset
-from epiprior_lab.parallel import default_workers
+from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.params import TrainParams, load_params
 from epiprior_lab.tracking import TrackedFamily, track
-from epiprior_lab.training_tables import seconds_csv, write_training
+from epiprior_lab.training.classifiers import Comparison
+from epiprior_lab.training.model_training import PresetTraining, train_preset
+from epiprior_lab.training.training_tables import seconds_csv, write_training
 
 
 def main() -> None:

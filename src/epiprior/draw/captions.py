@@ -1,0 +1,103 @@
+"""The words and the colour scale of a figure of `epiprior.draw.pictures`."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from epiprior.types import FloatArray, FundamentalEstimate
+
+Picture = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+PAPER: Colour = (255, 255, 255)
+INK: Colour = (28, 28, 32)
+_FAINT: Colour = (105, 105, 112)
+_GOOD: Colour = (20, 120, 60)
+_BAD: Colour = (185, 40, 40)
+
+
+def probability_colours(scores: FloatArray) -> list[Colour]:
+    """Map [0, 1] to viridis, RGB, without its darkest quarter, which would sink into a dark photograph."""
+    index = np.rint(64 + 191 * np.asarray(scores)).astype(np.uint8).reshape(-1, 1)
+    if not len(index):
+        return []
+    bgr = cv2.applyColorMap(index, cv2.COLORMAP_VIRIDIS)[:, 0].tolist()
+    return [(red, green, blue) for blue, green, red in bgr]
+
+
+def draw_label(width: int, text: str) -> Picture:
+    """Return a strip of `width` pixels with one line of text."""
+    unit = _unit(width)
+    strip = _strip(30 * unit, width)
+    _write(strip, text, (10 * unit, 21 * unit), 0.5 * unit, _FAINT, room=width - 20 * unit)
+    return strip
+
+
+def draw_header(width: int, estimate: FundamentalEstimate | None, matches: int, scale_name: str) -> Picture:
+    """Return the strip above the figure: what was estimated on the left, the colour scale on the right."""
+    unit = _unit(width)
+    strip = _strip(64 * unit, width)
+    bar, margin = round(240 * unit), round(20 * unit)
+    room = width - bar - 2 * margin - 10 * unit
+    top, bottom, left = 28 * unit, 52 * unit, 10 * unit
+    if estimate is None:
+        _write(strip, f"{matches} matches", (left, top), 0.7 * unit, INK, room=room, bold=True)
+    else:
+        end = _write(strip, f"{estimate.estimator}: ", (left, top), 0.7 * unit, INK, room=room / 2, bold=True)
+        end += 6 * unit
+        colour = _GOOD if estimate else _BAD
+        end = _write(strip, estimate.status.value, (end, top), 0.7 * unit, colour, room=room - end, bold=True)
+        end += 20 * unit
+        support = f"support {estimate.support} of {len(estimate.x1)} matches"
+        _write(strip, support, (end, top), 0.6 * unit, INK, room=room - end)
+        details = (estimate.message, f"roll {estimate.roll_deg:.0f} deg", estimate.version)
+        detail = ",  ".join(part for part in details if part)
+        _write(strip, detail, (left, bottom), 0.5 * unit, _FAINT, room=room)
+    _draw_scale(strip[:, width - bar - margin : width - margin], scale_name, unit)
+    return strip
+
+
+def _unit(width: int) -> float:
+    """Lettering grows with the figure, so that it stays readable when the figure is shown smaller."""
+    return float(np.clip(width / 1250, 1.0, 2.0))
+
+
+def _strip(height: float, width: int) -> Picture:
+    return np.full((round(height), width, 3), PAPER, np.uint8)
+
+
+def _draw_scale(area: Picture, name: str, unit: float) -> None:
+    """Draw the colours from 0 to 1, their ends and what they stand for into `area`."""
+    width = area.shape[1]
+    top, bottom, baseline, size = round(14 * unit), round(28 * unit), 47 * unit, 0.5 * unit
+    area[top:bottom] = np.array(probability_colours(np.linspace(0, 1, width)), np.uint8)
+    cv2.rectangle(area, (0, top), (width - 1, bottom - 1), _FAINT, 1)
+    for text, anchor in (("0", 0.0), (name, 0.5), ("1", 1.0)):
+        _write(area, text, (anchor * (width - _width(text, size)), baseline), size, _FAINT, room=width)
+
+
+def _width(text: str, size: float, bold: bool = False) -> int:
+    font = cv2.FONT_HERSHEY_DUPLEX if bold else cv2.FONT_HERSHEY_SIMPLEX
+    return int(cv2.getTextSize(text, font, size, 1)[0][0])
+
+
+def _write(
+    picture: Picture,
+    text: str,
+    at: tuple[float, float],
+    size: float,
+    colour: Colour,
+    *,
+    room: float,
+    bold: bool = False,
+) -> float:
+    """Write a line of text, its baseline from `at`, shortened to `room` pixels; return where it ends."""
+    left, baseline = at
+    shown = text
+    while shown and _width(shown, size, bold) > room:
+        shown = shown[:-4] + "..." if len(shown) > 4 else ""
+    font = cv2.FONT_HERSHEY_DUPLEX if bold else cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(picture, shown, (round(left), round(baseline)), font, size, colour, 1, cv2.LINE_AA)
+    return left + _width(shown, size, bold)

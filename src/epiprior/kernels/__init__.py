@@ -1,0 +1,1 @@
+"""Compiled functions: residuals, minimal solvers, samplers, local optimisation."""

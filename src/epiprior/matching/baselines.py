@@ -1,0 +1,225 @@
+"""The inputs that estimators get without us.
+
+X_L as in the paper, the strongest simple pipeline of today, and the many candidates of generalised RANSAC.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from epiprior.errors import SettingsError
+from epiprior.features.detect import FeatureSettings, View
+from epiprior.matching.pair import PreparedPair, prepare_pair
+from epiprior.matching.standard import mutual_mask, similarity_weights
+from epiprior.presets import DEFAULT, PreprocessSettings, find_preset
+from epiprior.types import Features, Float32Array, FloatArray, IntArray, MatchSet
+
+_BLOCK = 512
+
+
+def standard_set(prepared: PreparedPair, settings: PreprocessSettings = DEFAULT) -> MatchSet:
+    """Return X_L as a `MatchSet`, ordered by distance ratio."""
+    forward = prepared.forward
+    ratio = forward.distance_ratio
+    keep = np.flatnonzero((forward.nearest >= 0) & (ratio <= settings.max_distance_ratio))
+    return _nearest_set(prepared, keep[np.argsort(ratio[keep], kind="stable")])
+
+
+def _nearest_set(prepared: PreparedPair, rows: IntArray) -> MatchSet:
+    """Return the features `rows` of image 1 with their nearest neighbours, in that order."""
+    f1, f2 = prepared.features
+    forward = prepared.forward
+    to = forward.nearest[rows]
+    n = len(rows)
+    return MatchSet(
+        x1=f1.xy[rows],
+        x2=f2.xy[to],
+        scale1=f1.scale[rows],
+        scale2=f2.scale[to],
+        orientation1_deg=f1.orientation_deg[rows],
+        orientation2_deg=f2.orientation_deg[to],
+        feature1=prepared.locations[0].first_twin(rows),
+        feature2=prepared.locations[1].first_twin(to),
+        probability=np.full(n, np.nan),
+        supporting_matrices=np.zeros(n, np.int64),
+        distance_ratio=forward.distance_ratio[rows],
+        similarity_weight=similarity_weights(forward, prepared.backward)[rows],
+        similarity=forward.best[rows].astype(np.float64),
+        two_keypoint_probability=np.zeros(n),
+        image_sizes=(f1.image_size, f2.image_size),
+    )
+
+
+def standard_matches(
+    image1: View | None,
+    image2: View | None,
+    *,
+    features: FeatureSettings | None = None,
+    max_distance_ratio: float = 0.9,
+    features1: Features | None = None,
+    features2: Features | None = None,
+) -> MatchSet:
+    """Return X_L, the standard putative matches of the paper, ordered by distance ratio: the baseline.
+
+    Parameters
+    ----------
+    image1, image2 : path, ndarray, Photograph or None
+        The photographs; None only where features are handed in.
+    features : FeatureSettings, optional
+        The paper's by default: plain SIFT, normalised cross-correlation.
+    max_distance_ratio : float
+        Matches with a higher d_r are left out.
+    features1, features2 : Features, optional
+        Used instead of detected ones; `features` then says how descriptors are normalised.
+
+    References
+    ----------
+    Paper, section 4.1.
+    """
+    settings = replace(
+        find_preset("paper"),
+        features=features or find_preset("paper").features,
+        max_distance_ratio=max_distance_ratio,
+    )
+    return standard_set(prepare_pair(image1, image2, settings, features1=features1, features2=features2), settings)
+
+
+def snn_matches(
+    image1: View | None,
+    image2: View | None,
+    *,
+    max_distance_ratio: float = 0.85,
+    features1: Features | None = None,
+    features2: Features | None = None,
+) -> MatchSet:
+    """Return mutual nearest neighbours of RootSIFT below a ratio, ordered by it: the strongest simple baseline.
+
+    Parameters
+    ----------
+    image1, image2 : path, ndarray, Photograph or None
+        The photographs; None only where features are handed in.
+    max_distance_ratio : float
+        Matches below it are kept. The ratio is of Euclidean distances of the descriptors, as users of this baseline
+        compute it.
+    features1, features2 : Features, optional
+        Used instead of detected ones; descriptors as SIFT gives them, which are made RootSIFT here.
+    """
+    settings = replace(DEFAULT, features=FeatureSettings(root=True, centred=False))
+    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
+    forward = prepared.forward
+    distance, distance2 = (np.sqrt(np.maximum(2 - 2 * s.astype(np.float64), 0)) for s in (forward.best, forward.second))
+    ratio = np.divide(distance, distance2, out=np.ones_like(distance), where=distance2 > 0)
+    keep = np.flatnonzero(mutual_mask(forward, prepared.backward) & (ratio < max_distance_ratio))
+    rows = keep[np.argsort(ratio[keep], kind="stable")]
+    return replace(_nearest_set(prepared, rows), distance_ratio=ratio[rows])
+
+
+def generalized_matches(
+    image1: View | None,
+    image2: View | None,
+    *,
+    ncc_threshold: float = 0.85,
+    max_candidates: int = 5,
+    right_share: float = 0.5,
+    features: FeatureSettings | None = None,
+    features1: Features | None = None,
+    features2: Features | None = None,
+) -> MatchSet:
+    """Return all matches above a similarity, many-to-many, each at a low probability: input of generalised RANSAC.
+
+    Parameters
+    ----------
+    image1, image2 : path, ndarray, Photograph or None
+        The photographs; None only where features are handed in.
+    ncc_threshold : float
+        Lowest normalised cross-correlation of two descriptors, in (-1, 1).
+    max_candidates : int
+        Ours: of the candidates of a feature, in either image, only so many, the most similar, are kept. Without
+        a limit two brick walls give millions.
+    right_share : float
+        Probability, in (0, 1), that one of a feature's candidates is right; its candidates share it.
+    features : FeatureSettings, optional
+        The paper's by default: plain SIFT, normalised cross-correlation.
+    features1, features2 : Features, optional
+        Used instead of detected ones; `features` then says how descriptors are normalised.
+
+    Returns
+    -------
+    MatchSet
+        `probability` is ``right_share / max(c1, c2)``, where c1 and c2 count the candidates of the two features.
+        Sorted by it, then by similarity. `distance_ratio` is 1 except for nearest neighbours.
+
+    Raises
+    ------
+    SettingsError
+        If a number is out of its range.
+
+    References
+    ----------
+    Zhang and Kosecka, Generalized RANSAC framework for relaxed correspondence problems, 3DPVT 2006, as the paper sums
+    it up (section 2); how the probabilities are shared is our interpretation.
+    """
+    if not -1 < ncc_threshold < 1:
+        raise SettingsError(f"ncc_threshold is {ncc_threshold}, expected a number between -1 and 1")
+    if max_candidates < 1:
+        raise SettingsError(f"max_candidates is {max_candidates}, expected at least 1")
+    if not 0 < right_share < 1:
+        raise SettingsError(f"right_share is {right_share}, expected a number between 0 and 1")
+    settings = replace(find_preset("paper"), features=features or find_preset("paper").features)
+    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
+    rows, to, similarity = _candidates(*prepared.descriptors, ncc_threshold, max_candidates)
+    f1, f2 = prepared.features
+    feature1, feature2 = prepared.locations[0].first_twin(rows), prepared.locations[1].first_twin(to)
+    rivals = np.maximum(
+        np.bincount(feature1, minlength=1)[feature1] if len(rows) else np.ones(0),
+        np.bincount(feature2, minlength=1)[feature2] if len(rows) else np.ones(0),
+    )
+    probability = right_share / np.maximum(rivals, 1)
+    order = np.lexsort((to, rows, -similarity, -probability))
+    rows, to = rows[order], to[order]
+    nearest = prepared.forward.nearest[rows] == to
+    weights = similarity_weights(prepared.forward, prepared.backward)
+    return MatchSet(
+        x1=f1.xy[rows],
+        x2=f2.xy[to],
+        scale1=f1.scale[rows],
+        scale2=f2.scale[to],
+        orientation1_deg=f1.orientation_deg[rows],
+        orientation2_deg=f2.orientation_deg[to],
+        feature1=feature1[order],
+        feature2=feature2[order],
+        probability=probability[order],
+        supporting_matrices=np.zeros(len(rows), np.int64),
+        distance_ratio=np.where(nearest, prepared.forward.distance_ratio[rows], 1.0),
+        similarity_weight=np.where(nearest, weights[rows], 0.0),
+        similarity=similarity[order],
+        two_keypoint_probability=np.zeros(len(rows)),
+        image_sizes=(f1.image_size, f2.image_size),
+    )
+
+
+def _candidates(
+    d1: Float32Array, d2: Float32Array, threshold: float, limit: int
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return the pairs of descriptors above a similarity that are among the `limit` most similar on both sides."""
+    if not len(d1) or not len(d2):
+        return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
+    found = []
+    for first in range(0, len(d1), _BLOCK):
+        S = d1[first : first + _BLOCK] @ d2.T
+        row, column = np.nonzero(threshold <= S)
+        found.append((row + first, column, S[row, column].astype(np.float64)))
+    rows, to, similarity = (np.concatenate(part) for part in zip(*found, strict=True))
+    keep = (_place_within(rows, to, similarity) < limit) & (_place_within(to, rows, similarity) < limit)
+    return rows[keep], to[keep], similarity[keep]
+
+
+def _place_within(group: IntArray, other: IntArray, similarity: FloatArray) -> IntArray:
+    """Return the place, from 0, of each pair among those of its group, most similar first."""
+    order = np.lexsort((other, -similarity, group))
+    ordered = group[order]
+    place = np.empty(len(group), np.int64)
+    place[order] = np.arange(len(group)) - np.searchsorted(ordered, ordered)
+    return place

@@ -1,0 +1,176 @@
+"""Steps 1 to 3a on a pair: features, standard matches, roll hypotheses (paper, sections 4.1 and 4.2).
+
+All that does not depend on the roll is computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from epiprior.errors import FeatureError, ImageError
+from epiprior.features.detect import (
+    FeatureSettings,
+    Photograph,
+    View,
+    blank_photograph,
+    detect_features,
+    load_photograph,
+    normalise_descriptors,
+)
+from epiprior.matching.roll import expected_roll, orientation_differences
+from epiprior.matching.standard import Neighbours, mutual_mask, nearest_neighbours
+from epiprior.presets import DEFAULT, PreprocessSettings
+from epiprior.ranking.frames import Locations, locate
+from epiprior.ranking.probabilities import StandardTable, standard_table
+from epiprior.stopwatch import Stopwatch
+from epiprior.types import Features, Float32Array, FloatArray
+
+_T = TypeVar("_T")
+
+
+def both_images(function: Callable[[int], _T]) -> tuple[_T, _T]:
+    """Call `function` with 0 and 1, one thread for each image."""
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(function, (0, 1))
+    return first, second
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedPair:
+    """Features of both images and their nearest neighbours: all that does not depend on the roll.
+
+    Parameters
+    ----------
+    photographs : tuple of (Photograph or None)
+        The working images; None for an image that was not handed in.
+    features : tuple of Features
+        As detected or handed in.
+    descriptors : tuple of ndarray
+        Unit descriptors at the features' own orientation.
+    to_working : tuple of ndarray, shape (3, 3)
+        Affine maps from pixels of the images as given to working pixels.
+    locations : tuple of Locations
+        Features grouped by location and scale, working pixels.
+    forward, backward : Neighbours
+        Of the features, in both directions.
+    table : StandardTable
+        X_L and X_B by location.
+    """
+
+    photographs: tuple[Photograph | None, Photograph | None]
+    features: tuple[Features, Features]
+    descriptors: tuple[Float32Array, Float32Array]
+    to_working: tuple[FloatArray, FloatArray]
+    locations: tuple[Locations, Locations]
+    forward: Neighbours
+    backward: Neighbours
+    table: StandardTable
+
+    @property
+    def orientation_rad(self) -> tuple[FloatArray, FloatArray]:
+        """Orientation of the features of both images, radians."""
+        return np.deg2rad(self.features[0].orientation_deg), np.deg2rad(self.features[1].orientation_deg)
+
+
+def prepare_pair(
+    image1: View | None,
+    image2: View | None,
+    settings: PreprocessSettings = DEFAULT,
+    *,
+    features1: Features | None = None,
+    features2: Features | None = None,
+    watch: Stopwatch | None = None,
+) -> PreparedPair:
+    """Find features and standard matches (section 4.1).
+
+    Parameters
+    ----------
+    image1, image2 : path, ndarray, Photograph or None
+        The photographs. None only where features are handed in; then their own descriptors also serve where the
+        method asks for descriptors at a fixed orientation, and repeated corners are told apart less well.
+    settings : PreprocessSettings
+        The preset.
+    features1, features2 : Features, optional
+        Used instead of detected ones; pixels of the images as given.
+    watch : Stopwatch, optional
+        Takes the seconds of the steps.
+    """
+    watch = watch or Stopwatch()
+    images, given = (image1, image2), (features1, features2)
+    for k, (image, own) in enumerate(zip(images, given, strict=True), start=1):
+        if image is None and own is None:
+            raise ImageError(f"image {k} is None and no features were handed in for it")
+
+    def find(k: int) -> tuple[Photograph | None, Features]:
+        image, own = images[k], given[k]
+        photograph = None if image is None else load_photograph(image, settings.features.max_image_size)
+        if own is None:
+            assert photograph is not None
+            own = detect_features(photograph, settings.features)
+        elif not isinstance(own, Features):
+            raise FeatureError(f"features of image {k + 1} are {type(own).__name__}, expected epiprior.Features")
+        elif photograph is not None and own.image_size != photograph.size:
+            raise FeatureError(
+                f"features of image {k + 1} belong to an image of {own.image_size}, the image is {photograph.size}"
+            )
+        return photograph, own
+
+    with watch.step("features"):
+        (photo1, own1), (photo2, own2) = both_images(find)
+    if own1.descriptors.shape[1] != own2.descriptors.shape[1]:
+        raise FeatureError(
+            f"descriptors have {own1.descriptors.shape[1]} and {own2.descriptors.shape[1]} entries, expected the same"
+        )
+    with watch.step("standard matches"):
+        descriptors = (
+            unit_descriptors(own1.descriptors, settings.features),
+            unit_descriptors(own2.descriptors, settings.features),
+        )
+        forward, backward = nearest_neighbours(*descriptors)
+        limit = settings.features.max_image_size
+        working = (
+            photo1 or blank_photograph(own1.image_size, limit),
+            photo2 or blank_photograph(own2.image_size, limit),
+        )
+        locations = (_locate(own1, working[0]), _locate(own2, working[1]))
+        of = (locations[0].of_feature, locations[1].of_feature)
+        table = standard_table(forward, backward, of, settings.max_distance_ratio)
+    return PreparedPair(
+        photographs=(photo1, photo2),
+        features=(own1, own2),
+        descriptors=descriptors,
+        to_working=(working[0].working_map, working[1].working_map),
+        locations=locations,
+        forward=forward,
+        backward=backward,
+        table=table,
+    )
+
+
+def unit_descriptors(descriptors: Float32Array, settings: FeatureSettings) -> Float32Array:
+    """Return descriptors normalised as the settings say."""
+    return normalise_descriptors(descriptors, root=settings.root, centred=settings.centred)
+
+
+def _locate(features: Features, working: Photograph) -> Locations:
+    return locate(features, working.to_working(features.xy), working.factor)
+
+
+def roll_hypotheses(prepared: PreparedPair, settings: PreprocessSettings = DEFAULT) -> tuple[float, ...]:
+    """Return the roll hypotheses alpha_exp and 0, degrees (section 4.2); one where they nearly agree."""
+    expected = expected_roll(roll_differences(prepared, settings), settings.roll_bandwidth_deg)
+    return (0.0,) if abs(expected) <= settings.merge_rolls_deg and settings.merge_rolls_deg > 0 else (expected, 0.0)
+
+
+def roll_differences(prepared: PreparedPair, settings: PreprocessSettings = DEFAULT) -> FloatArray:
+    """Return the orientation differences over X_L and X_B, degrees in [0, 360)."""
+    forward = prepared.forward
+    mask = mutual_mask(forward, prepared.backward) | (forward.distance_ratio <= settings.max_distance_ratio)
+    rows = np.flatnonzero(mask & (forward.nearest >= 0))
+    first, second = prepared.features
+    return orientation_differences(first.orientation_deg[rows], second.orientation_deg[forward.nearest[rows]])

@@ -1,0 +1,143 @@
+"""Step 4: the putative matches X, from clusters matched in both directions (paper, section 4.3)."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from epiprior.matching.clusters import Clusters
+from epiprior.matching.standard import nearest_neighbours
+from epiprior.types import Float32Array, IntArray
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PutativeMatches:
+    """The set X, ordered by feature of image 1, then of image 2.
+
+    Parameters
+    ----------
+    feature1, feature2 : ndarray, shape (M,), int64
+        The matched features (locations).
+    start1 : ndarray, shape (N1 + 1,), int64
+        Matches of feature i of image 1 are the rows ``start1[i]:start1[i + 1]``.
+    candidates1, candidates2 : ndarray, shapes (N1,) and (N2,), int64
+        In how many matches each feature takes part.
+    """
+
+    feature1: IntArray
+    feature2: IntArray
+    start1: IntArray
+    candidates1: IntArray
+    candidates2: IntArray
+
+    def __len__(self) -> int:
+        return len(self.feature1)
+
+
+def matched_clusters(clusters1: Clusters, clusters2: Clusters) -> IntArray:
+    """Match each cluster to the closest of the other image, in both directions, without any ratio test.
+
+    Returns
+    -------
+    ndarray, shape (P, 2), int64
+        Distinct pairs of clusters, ascending.
+    """
+    if not len(clusters1) or not len(clusters2):
+        return np.empty((0, 2), np.int64)
+    forward, backward = nearest_neighbours(clusters1.representative, clusters2.representative)
+    pairs = np.concatenate(
+        [
+            np.column_stack([np.arange(len(clusters1)), forward.nearest]),
+            np.column_stack([backward.nearest, np.arange(len(clusters2))]),
+        ]
+    )
+    return np.unique(pairs, axis=0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _member_pairs(pairs, members1, start1, members2, start2, d1, d2, limit):  # type: ignore[no-untyped-def]
+    """List all pairs of members of matched clusters; above the limit, the most similar ones."""
+    total = 0
+    for k in range(len(pairs)):
+        n1 = start1[pairs[k, 0] + 1] - start1[pairs[k, 0]]
+        n2 = start2[pairs[k, 1] + 1] - start2[pairs[k, 1]]
+        total += min(n1 * n2, limit)
+    out = np.empty((total, 2), np.int64)
+    row, capped = 0, 0
+    for k in range(len(pairs)):
+        a = members1[start1[pairs[k, 0]] : start1[pairs[k, 0] + 1]]
+        b = members2[start2[pairs[k, 1]] : start2[pairs[k, 1] + 1]]
+        n = len(a) * len(b)
+        if n <= limit:
+            for i in a:
+                for j in b:
+                    out[row, 0], out[row, 1] = i, j
+                    row += 1
+            continue
+        capped += 1
+        similarity = np.empty(n, np.float32)
+        for r in range(len(a)):
+            for c in range(len(b)):
+                dot = np.float32(0)
+                for q in range(d1.shape[1]):
+                    dot += d1[a[r], q] * d2[b[c], q]
+                similarity[r * len(b) + c] = -dot
+        order = np.argsort(similarity, kind="mergesort")
+        for q in range(limit):
+            out[row, 0], out[row, 1] = a[order[q] // len(b)], b[order[q] % len(b)]
+            row += 1
+    return out, capped
+
+
+def putative_matches(
+    clusters1: Clusters,
+    clusters2: Clusters,
+    descriptors1: Float32Array,
+    descriptors2: Float32Array,
+    max_matches_per_cluster_pair: int = 400,
+) -> PutativeMatches:
+    """Return X: all member pairs of matched clusters.
+
+    Parameters
+    ----------
+    clusters1, clusters2 : Clusters
+        Of the features of both images.
+    descriptors1, descriptors2 : ndarray, shapes (N1, D) and (N2, D), float32
+        The unit descriptors that were clustered.
+    max_matches_per_cluster_pair : int
+        Of a pair of clusters with more member pairs, only so many, the most similar ones, are kept. The paper
+        has no such limit; two walls of bricks need one.
+
+    Returns
+    -------
+    PutativeMatches
+        Most of them wrong.
+    """
+    pairs = matched_clusters(clusters1, clusters2)
+    rows, capped = _member_pairs(
+        pairs,
+        clusters1.members,
+        clusters1.start,
+        clusters2.members,
+        clusters2.start,
+        descriptors1,
+        descriptors2,
+        max_matches_per_cluster_pair,
+    )
+    if capped:
+        logger.debug("%d of %d cluster pairs cut to %d matches", capped, len(pairs), max_matches_per_cluster_pair)
+    n1, n2 = len(descriptors1), len(descriptors2)
+    rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+    candidates1 = np.bincount(rows[:, 0], minlength=n1)
+    return PutativeMatches(
+        feature1=np.ascontiguousarray(rows[:, 0]),
+        feature2=np.ascontiguousarray(rows[:, 1]),
+        start1=np.concatenate([[0], np.cumsum(candidates1)]).astype(np.int64),
+        candidates1=candidates1.astype(np.int64),
+        candidates2=np.bincount(rows[:, 1], minlength=n2).astype(np.int64),
+    )

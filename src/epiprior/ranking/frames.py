@@ -1,0 +1,177 @@
+"""The local frames of putative matches: location, scale and orientation of both features, and how alike they look."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numba
+import numpy as np
+
+from epiprior.features.detect import unique_locations
+from epiprior.types import BoolArray, Features, Float32Array, FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchFrames:
+    """One row per putative match; lengths in working pixels, angles in radians.
+
+    Parameters
+    ----------
+    x1, x2 : ndarray, shape (M, 2), float64
+        Locations.
+    scale1, scale2 : ndarray, shape (M,), float64
+        Sigma.
+    orientation1_rad, orientation2_rad : ndarray, shape (M,), float64
+        Orientation. Where SIFT gives several at a location, those two whose descriptors are most alike.
+    similarity : ndarray, shape (M,), float64
+        Of the descriptors at these orientations, in [-1, 1].
+    fixed_similarity : ndarray, shape (M,), float64
+        Of the descriptors at the fixed orientations of the roll hypothesis, in [-1, 1].
+    roll_rad : float
+        The roll hypothesis.
+    """
+
+    x1: FloatArray
+    x2: FloatArray
+    scale1: FloatArray
+    scale2: FloatArray
+    orientation1_rad: FloatArray
+    orientation2_rad: FloatArray
+    similarity: FloatArray
+    fixed_similarity: FloatArray
+    roll_rad: float
+
+    def __len__(self) -> int:
+        return len(self.x1)
+
+    @property
+    def roll_error(self) -> FloatArray:
+        """Deviation of each match's turn from the roll hypothesis, radians in [0, pi]."""
+        turn = self.orientation2_rad - self.orientation1_rad - self.roll_rad
+        return np.asarray(np.abs(np.angle(np.exp(1j * turn))))
+
+    @property
+    def scale_change(self) -> FloatArray:
+        """Log of the scale of image 2 over that of image 1."""
+        return np.asarray(np.log(self.scale2 / self.scale1))
+
+    def take(self, index: IntArray | BoolArray) -> MatchFrames:
+        """Return the rows at `index`, in that order."""
+        rows = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "roll_rad"}
+        return replace(self, **rows)
+
+
+@dataclass(frozen=True)
+class Locations:
+    """Features of one image, grouped by (location, scale): twins differ only in orientation.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (L, 2), float64
+        Working pixels.
+    scale : ndarray, shape (L,), float64
+        Sigma, working pixels.
+    first : ndarray, shape (L,), int64
+        First feature of each location.
+    of_feature : ndarray, shape (N,), int64
+        Location of each feature.
+    twins, start : ndarray, int64
+        Features of location l are ``twins[start[l]:start[l + 1]]``.
+    """
+
+    xy: FloatArray
+    scale: FloatArray
+    first: IntArray
+    of_feature: IntArray
+    twins: IntArray
+    start: IntArray
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def first_twin(self, features: IntArray) -> IntArray:
+        """Return the first feature at the location of each of some `features`: what matches name it by."""
+        return self.first[self.of_feature[features]]
+
+
+def locate(features: Features, xy: FloatArray, factor: float) -> Locations:
+    """Group `features`; `xy` are their working pixels, `factor` the given pixels per working pixel."""
+    first, of_feature = unique_locations(features)
+    twins = np.argsort(of_feature, kind="stable").astype(np.int64)
+    start = np.searchsorted(of_feature[twins], np.arange(len(first) + 1)).astype(np.int64)
+    return Locations(xy[first], features.scale[first] / factor, first, of_feature, twins, start)
+
+
+@numba.njit(cache=True, nogil=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    total = np.float32(0)
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _most_alike(rows1, rows2, twins1, start1, twins2, start2, d1, d2):  # type: ignore[no-untyped-def]
+    """For each pair of locations, the two features that are most alike, and their similarity."""
+    best1 = np.empty(len(rows1), np.int64)
+    best2 = np.empty(len(rows1), np.int64)
+    similarity = np.empty(len(rows1), np.float64)
+    for m in range(len(rows1)):
+        best = np.float32(-np.inf)
+        for i in twins1[start1[rows1[m]] : start1[rows1[m] + 1]]:
+            for j in twins2[start2[rows2[m]] : start2[rows2[m] + 1]]:
+                v = _dot(d1[i], d2[j])
+                if v > best:
+                    best = v
+                    best1[m], best2[m] = i, j
+        similarity[m] = best
+    return best1, best2, similarity
+
+
+@numba.njit(cache=True, nogil=True)
+def _paired_similarity(rows1, rows2, d1, d2):  # type: ignore[no-untyped-def]
+    out = np.empty(len(rows1), np.float64)
+    for m in range(len(rows1)):
+        out[m] = _dot(d1[rows1[m]], d2[rows2[m]])
+    return out
+
+
+def match_frames(
+    rows1: IntArray,
+    rows2: IntArray,
+    locations: tuple[Locations, Locations],
+    orientation_rad: tuple[FloatArray, FloatArray],
+    descriptors: tuple[Float32Array, Float32Array],
+    fixed: tuple[Float32Array, Float32Array],
+    roll_rad: float,
+) -> MatchFrames:
+    """Collect the frames of the matches of locations `rows1` with `rows2`.
+
+    Parameters
+    ----------
+    rows1, rows2 : ndarray, shape (M,), int64
+        Locations of image 1 and 2.
+    locations : tuple of Locations
+        Of both images.
+    orientation_rad : tuple of ndarray
+        Orientation of every feature of both images, radians.
+    descriptors : tuple of ndarray
+        Unit descriptors of every feature of both images, at its own orientation.
+    fixed : tuple of ndarray
+        Unit descriptors of every location of both images, at the fixed orientations.
+    roll_rad : float
+        The roll hypothesis, radians.
+    """
+    l1, l2 = locations
+    best1, best2, similarity = _most_alike(rows1, rows2, l1.twins, l1.start, l2.twins, l2.start, *descriptors)
+    return MatchFrames(
+        x1=l1.xy[rows1],
+        x2=l2.xy[rows2],
+        scale1=l1.scale[rows1],
+        scale2=l2.scale[rows2],
+        orientation1_rad=orientation_rad[0][best1],
+        orientation2_rad=orientation_rad[1][best2],
+        similarity=similarity,
+        fixed_similarity=_paired_similarity(rows1, rows2, *fixed),
+        roll_rad=roll_rad,
+    )

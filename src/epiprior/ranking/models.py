@@ -1,0 +1,306 @@
+"""Exported models: two classifiers as ONNX, and a manifest that says what they were trained on.
+
+A model is a folder: ``two_keypoint.onnx`` gives the probability of 2keypoint matches (paper, section 4.4),
+``match.onnx`` that of matches (section 4.6), ``manifest.json`` describes both, ``README.md`` is the model
+card. Loading executes nothing of the folder; a folder that is not what its manifest says is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+
+from epiprior.errors import FeatureError, ModelError, SettingsError
+from epiprior.types import Float32Array, FloatArray
+
+SCHEMA_VERSION = 1
+TARGETS = ("two_keypoint", "match")
+CARD = "README.md"
+MANIFEST = "manifest.json"
+
+# Raw probabilities are kept so far from 0 and 1 that their logit is finite in float32.
+_CLIP = 1e-7
+# Rows per call of the runtime: small enough for the cache, and for the kernel matrix of an SVM.
+_CHUNK = 8192
+
+
+def calibrate(probability: FloatArray, a: float, b: float) -> FloatArray:
+    """Return ``sigmoid(a * logit(p) + b)``: Platt scaling, strictly increasing for ``a > 0``.
+
+    Parameters
+    ----------
+    probability : ndarray, shape (N,), float64
+        Probabilities as the classifier gives them, in [0, 1]; they are clipped to [1e-7, 1 - 1e-7].
+    a, b : float
+        Slope (> 0) and offset.
+
+    Returns
+    -------
+    ndarray, shape (N,), float64
+        In (0, 1).
+    """
+    p = np.clip(np.asarray(probability, np.float64), _CLIP, 1.0 - _CLIP)
+    return np.asarray(1.0 / (1.0 + np.exp(-(a * (np.log(p) - np.log1p(-p)) + b))), np.float64)
+
+
+@dataclass(frozen=True)
+class Classifier:
+    """One exported classifier with its calibration.
+
+    Parameters
+    ----------
+    session : onnxruntime.InferenceSession
+        Takes ``rows`` (N, C) float32, gives ``probability`` (N,).
+    columns : tuple of str
+        Names of the C columns, in order.
+    a, b : float
+        Platt scaling of the logit.
+    threads : int
+        Chunks of rows predicted at a time.
+    """
+
+    session: onnxruntime.InferenceSession
+    columns: tuple[str, ...]
+    a: float
+    b: float
+    threads: int = 1
+
+    def __call__(self, rows: Float32Array) -> FloatArray:
+        """Return calibrated probabilities; see `RankingModel.predict_match`."""
+        return calibrate(self.uncalibrated(rows), self.a, self.b)
+
+    def uncalibrated(self, rows: Float32Array) -> FloatArray:
+        """Return the probabilities as the classifier gives them; otherwise like a call."""
+        if not isinstance(rows, np.ndarray) or rows.dtype != np.float32:
+            got = rows.dtype if isinstance(rows, np.ndarray) else type(rows).__name__
+            raise FeatureError(f"rows to classify: expected a float32 array, got {got}")
+        if rows.ndim != 2 or rows.shape[1] != len(self.columns):
+            raise FeatureError(
+                f"rows to classify have shape {rows.shape}, expected (N, {len(self.columns)}): "
+                f"{', '.join(self.columns)}"
+            )
+        finite = np.isfinite(rows)
+        if not finite.all():
+            row, column = np.argwhere(~finite)[0]
+            raise FeatureError(f"rows to classify: {self.columns[column]} of row {row} is {rows[row, column]}")
+        chunks = [np.ascontiguousarray(rows[i : i + _CHUNK]) for i in range(0, len(rows), _CHUNK)]
+        # A row's value does not depend on its chunk, so neither on the number of threads.
+        if self.threads > 1 and len(chunks) > 1:
+            with ThreadPoolExecutor(self.threads) as pool:
+                parts = list(pool.map(self._run, chunks))
+        else:
+            parts = [self._run(chunk) for chunk in chunks]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def _run(self, rows: Float32Array) -> FloatArray:
+        return np.asarray(self.session.run(["probability"], {"rows": rows})[0], np.float64).reshape(-1)
+
+
+@dataclass(frozen=True)
+class RankingModel:
+    """The two classifiers of a preset.
+
+    Parameters
+    ----------
+    name : str
+        Name of the model.
+    manifest : mapping
+        Contents of ``manifest.json``: preset, training data, metrics, library versions, hashes.
+    two_keypoint, match : Classifier
+        The classifiers of 2keypoint matches and of matches.
+
+    Notes
+    -----
+    Each runs in one thread, so that its sums are taken in one order: the bytes do not depend on the machine's
+    load.
+    """
+
+    name: str
+    manifest: Mapping[str, Any]
+    two_keypoint: Classifier
+    match: Classifier
+
+    @property
+    def two_keypoint_columns(self) -> tuple[str, ...]:
+        """Names of the columns of 2kpmd that the model was trained on, in order."""
+        return self.two_keypoint.columns
+
+    @property
+    def match_columns(self) -> tuple[str, ...]:
+        """Names of the columns of kpmd that the model was trained on, in order."""
+        return self.match.columns
+
+    def predict_two_keypoint(self, rows: Float32Array) -> FloatArray:
+        """Return the probability that each 2keypoint match consists of right matches (section 4.4).
+
+        Parameters
+        ----------
+        rows : ndarray, shape (N, C), float32
+            2kpmd, the columns `two_keypoint_columns`. ``N = 0`` is allowed.
+
+        Returns
+        -------
+        ndarray, shape (N,), float64
+            Calibrated, in (0, 1).
+
+        Raises
+        ------
+        FeatureError
+            If the rows have another shape or type, or hold a value that is not finite.
+        """
+        return self.two_keypoint(rows)
+
+    def predict_match(self, rows: Float32Array) -> FloatArray:
+        """Return the probability that each match is right (section 4.6).
+
+        Parameters
+        ----------
+        rows : ndarray, shape (N, C), float32
+            kpmd, the columns `match_columns`. ``N = 0`` is allowed.
+
+        Returns
+        -------
+        ndarray, shape (N,), float64
+            Calibrated, in (0, 1).
+
+        Raises
+        ------
+        FeatureError
+            If the rows have another shape or type, or hold a value that is not finite.
+        """
+        return self.match(rows)
+
+
+def find_model(name: str) -> Path:
+    """Return the folder of a model that comes with epiprior.
+
+    Parameters
+    ----------
+    name : str
+        Name of a preset that has a model, for example ``default``.
+
+    Returns
+    -------
+    Path
+        The folder inside the installed package, or ``models/<name>`` of the checkout.
+
+    Raises
+    ------
+    ModelError
+        If there is none; the message says where it was looked for.
+    """
+    package = Path(__file__).resolve().parents[1]
+    places = (package / "_models" / name, package.parents[1] / "models" / name)
+    for place in places:
+        if name and place.is_dir():
+            return place
+    raise ModelError(f"no model named {name!r}: neither {places[0]} nor {places[1]} is a folder")
+
+
+def load_model(name_or_path: str | Path, *, threads: int = 1) -> RankingModel:
+    """Load a model and check that it is whole.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A name for `find_model`, or a folder: a `Path`, or a string with a slash in it.
+    threads : int
+        Chunks of rows to predict at a time, >= 1. It changes no result.
+
+    Returns
+    -------
+    RankingModel
+        Ready to predict.
+
+    Raises
+    ------
+    ModelError
+        If the folder or a file is missing, a file's hash is not the manifest's, the manifest is not JSON,
+        misses something or has an unknown schema, or its feature names do not fit the classifier. The message
+        names the file and what differs.
+    SettingsError
+        If `threads` is below one.
+    """
+    if threads < 1:
+        raise SettingsError(f"threads = {threads}: expected 1 or more")
+    is_name = isinstance(name_or_path, str) and not any(slash in name_or_path for slash in "/\\")
+    folder = find_model(str(name_or_path)) if is_name else Path(name_or_path)
+    if not folder.is_dir():
+        raise ModelError(f"{folder}: no such folder")
+    path = folder / MANIFEST
+    content = _read(path)
+    try:
+        manifest = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise ModelError(f"{path}: not JSON: {error}") from error
+    if not isinstance(manifest, dict) or manifest.get("schema_version") != SCHEMA_VERSION:
+        version = manifest.get("schema_version") if isinstance(manifest, dict) else None
+        raise ModelError(f"{path}: schema_version is {version!r}, this epiprior reads {SCHEMA_VERSION}")
+    contents = {file: _read_checked(folder, manifest, file) for file in (*(f"{t}.onnx" for t in TARGETS), CARD)}
+    classifiers = [
+        _classifier(folder / f"{target}.onnx", contents[f"{target}.onnx"], manifest, target, threads)
+        for target in TARGETS
+    ]
+    return RankingModel(_entry(manifest, path, str, "name"), manifest, *classifiers)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _read_checked(folder: Path, manifest: dict[str, Any], file: str) -> bytes:
+    """Read a file of the folder and compare its hash with the manifest's."""
+    expected = _entry(manifest, folder / MANIFEST, str, "files", file)
+    content = _read(folder / file)
+    found = hashlib.sha256(content).hexdigest()
+    if found != expected:
+        raise ModelError(f"{folder / file}: sha256 is {found}, {MANIFEST} says {expected}")
+    return content
+
+
+def _entry(manifest: Any, path: Path, kind: type, *keys: str) -> Any:
+    """Return the entry of the manifest under nested `keys`, of the type that is asked for."""
+    value = manifest
+    for key in keys:
+        value = value.get(key) if isinstance(value, dict) else None
+    if not isinstance(value, kind):
+        raise ModelError(f"{path}: {' / '.join(keys)} is {value!r}, expected {kind.__name__}")
+    return value
+
+
+def _classifier(path: Path, content: bytes, manifest: dict[str, Any], target: str, threads: int) -> Classifier:
+    """Open one classifier and compare it with what the manifest says of it."""
+    manifest_path = path.with_name(MANIFEST)
+    columns = _entry(manifest, manifest_path, list, target, "features")
+    if not columns or len(set(map(str, columns))) != len(columns) or not all(isinstance(c, str) for c in columns):
+        raise ModelError(f"{manifest_path}: {target}.features is {columns!r}, expected different names")
+    a, b = (_entry(manifest, manifest_path, float, target, "calibration", key) for key in "ab")
+    if not (np.isfinite(a) and np.isfinite(b) and a > 0):
+        raise ModelError(f"{manifest_path}: {target}.calibration is a = {a}, b = {b}, expected finite and a > 0")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise ModelError(f"{path}: onnxruntime cannot load it: {error}") from error
+    inputs = [(item.name, item.type, len(item.shape)) for item in session.get_inputs()]
+    outputs = [item.name for item in session.get_outputs()]
+    if inputs != [("rows", "tensor(float)", 2)] or outputs != ["probability"]:
+        raise ModelError(f"{path}: takes {inputs} and gives {outputs}, expected float 'rows' and 'probability'")
+    width = session.get_inputs()[0].shape[1]
+    if width != len(columns):
+        raise ModelError(f"{path}: takes {width} columns, {MANIFEST} names {len(columns)}: {', '.join(columns)}")
+    return Classifier(session, tuple(columns), a, b, threads)

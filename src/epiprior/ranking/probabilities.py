@@ -1,0 +1,265 @@
+"""Step 7: the union of X, X_L and X_B with the descriptor kpmd, from which probabilities come (paper, section 4.6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from epiprior.matching.putative import PutativeMatches
+from epiprior.matching.standard import Neighbours, mutual_mask, similarity_weights
+from epiprior.ranking.coherence import COLUMNS as COHERENCE_COLUMNS
+from epiprior.ranking.frames import MatchFrames
+from epiprior.ranking.two_keypoints import TwoKeypointMatches
+from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
+
+PAPER_MATCH_COLUMNS = ("supporting_matrices", "distance_ratio", "similarity_weight")
+DEFAULT_MATCH_COLUMNS = (
+    *PAPER_MATCH_COLUMNS,
+    "mutual",
+    "distance_ratio_backward",
+    "similarity",
+    "fixed_similarity",
+    "best_two_keypoint",
+    "summed_two_keypoint",
+    "relative_support",
+    "weighted_support",
+    "rival_support",
+    "rivals",
+    "roll_error",
+    "scale_change",
+    *COHERENCE_COLUMNS,
+    "pair_best_two_keypoints",
+    "pair_two_keypoints",
+    "pair_support",
+)
+
+
+@dataclass(frozen=True)
+class StandardTable:
+    """X_L and X_B together, one row per distinct pair of locations, ascending.
+
+    Parameters
+    ----------
+    location1, location2 : ndarray, shape (S,), int64
+        The matched locations.
+    distance_ratio, distance_ratio_backward : ndarray, shape (S,), float64
+        d_r from image 1 to 2 and from image 2 to 1; 1 where the match is not the nearest in that direction, or d_r is
+        above the limit of X_L.
+    similarity_weight : ndarray, shape (S,), float64
+        t_k; 0 where the match is not in X_B.
+    mutual : ndarray, shape (S,), bool
+        Whether the match is in X_B.
+    """
+
+    location1: IntArray
+    location2: IntArray
+    distance_ratio: FloatArray
+    distance_ratio_backward: FloatArray
+    similarity_weight: FloatArray
+    mutual: BoolArray
+
+
+def standard_table(
+    forward: Neighbours,
+    backward: Neighbours,
+    location_of: tuple[IntArray, IntArray],
+    max_distance_ratio: float,
+) -> StandardTable:
+    """Collect X_L (d_r up to the limit) and X_B (mutual nearest neighbours) by location (section 4.1).
+
+    Of several features at one location the best counts: lowest d_r, highest t_k.
+    """
+    of1, of2 = location_of
+    width = int(of2.max(initial=0)) + 1
+    mutual = mutual_mask(forward, backward)
+    ratio, ratio_backward = forward.distance_ratio, backward.distance_ratio
+    ratio = np.where(ratio <= max_distance_ratio, ratio, 1.0)
+    chosen = np.flatnonzero((forward.nearest >= 0) & (mutual | (ratio < 1.0)))
+    key = of1[chosen] * width + of2[forward.nearest[chosen]]
+    keys, row = np.unique(key, return_inverse=True)
+    row = row.reshape(-1)
+    table_ratio, table_weight = np.ones(len(keys)), np.zeros(len(keys))
+    table_mutual = np.zeros(len(keys), bool)
+    np.minimum.at(table_ratio, row, ratio[chosen])
+    np.maximum.at(table_weight, row, similarity_weights(forward, backward)[chosen])
+    np.logical_or.at(table_mutual, row, mutual[chosen])
+    table_backward = np.ones(len(keys))
+    if len(keys):
+        back_key = of1[backward.nearest] * width + of2
+        place = np.minimum(np.searchsorted(keys, back_key), len(keys) - 1)
+        known = keys[place] == back_key
+        np.minimum.at(table_backward, place[known], ratio_backward[known])
+    return StandardTable(keys // width, keys % width, table_ratio, table_backward, table_weight, table_mutual)
+
+
+@dataclass(frozen=True)
+class Union:
+    """X, X_L and X_B together, ordered by location of image 1, then of image 2.
+
+    Parameters
+    ----------
+    location1, location2 : ndarray, shape (M,), int64
+        The matched locations.
+    in_x : ndarray, shape (M,), int64
+        Row in X, or -1.
+    in_standard : ndarray, shape (M,), int64
+        Row in the standard table, or -1.
+    """
+
+    location1: IntArray
+    location2: IntArray
+    in_x: IntArray
+    in_standard: IntArray
+
+    def __len__(self) -> int:
+        return len(self.location1)
+
+    def ratios(self, table: StandardTable) -> FloatArray:
+        """Return d_r of each match; 1 where it is missing."""
+        return lookup(table.distance_ratio, self.in_standard, 1.0)
+
+
+def unite(X: PutativeMatches, table: StandardTable) -> Union:
+    """Return the union of X with the standard matches."""
+    width = 1 + int(max(X.feature2.max(initial=0), table.location2.max(initial=0)))
+    key_x = X.feature1 * width + X.feature2
+    key_s = table.location1 * width + table.location2
+    keys = np.union1d(key_x, key_s)
+    in_x, in_standard = np.full(len(keys), -1, np.int64), np.full(len(keys), -1, np.int64)
+    in_x[np.searchsorted(keys, key_x)] = np.arange(len(key_x))
+    in_standard[np.searchsorted(keys, key_s)] = np.arange(len(key_s))
+    return Union(keys // width, keys % width, in_x, in_standard)
+
+
+def lookup(values: FloatArray, rows: IntArray, missing: float) -> FloatArray:
+    """Return ``values[rows]``, and `missing` where the row is -1."""
+    out = np.full(len(rows), missing)
+    out[rows >= 0] = values[rows[rows >= 0]]
+    return out
+
+
+def _best_rival(score: FloatArray, feature: IntArray) -> FloatArray:
+    """Return for each match the highest score among the other matches of its feature; 0 without any."""
+    order = np.lexsort((-score, feature))
+    group = feature[order]
+    is_first = np.diff(group, prepend=-1) != 0
+    first = np.maximum.accumulate(np.where(is_first, np.arange(len(order)), 0))
+    has_second = np.append(~is_first[1:], False) if len(order) else is_first
+    second = np.where(has_second, np.append(score[order][1:], 0.0) if len(order) else score, 0.0)
+    rival = np.empty(len(score))
+    rival[order] = np.where(is_first, second, score[order][first])
+    return rival
+
+
+def two_keypoint_scores(
+    matches: TwoKeypointMatches, probability: FloatArray, size: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the best and the summed probability of the 2keypoint matches that hold each row of X, shape (size,)."""
+    best, total = np.zeros(size), np.zeros(size)
+    for rows in (matches.main, matches.other):
+        np.maximum.at(best, rows, probability)
+        total += np.bincount(rows, weights=probability, minlength=size)
+    return best, total
+
+
+def pair_columns(strengths: FloatArray, weighted: FloatArray) -> tuple[float, float, float]:
+    """Return what is known of the pair as a whole: on a hard pair the same votes mean less.
+
+    Parameters
+    ----------
+    strengths : ndarray, shape (K,), float64
+        Probabilities of what the rough fundamental matrices were made of, descending.
+    weighted : ndarray, shape (len(X),), float64
+        Weighted votes of each row of X.
+
+    Returns
+    -------
+    tuple of float
+        Mean of the ten highest strengths, mean of all, and the highest share of the weighted votes that one match
+        has; 0 where there is none. All in [0, 1].
+    """
+    if not len(strengths):
+        return 0.0, 0.0, 0.0
+    total = (float(strengths.sum()) ** 2 - float((strengths**2).sum())) / 2
+    share = float(weighted.max(initial=0.0)) / total if total > 0 else 0.0
+    return float(strengths[:10].mean()), float(strengths.mean()), min(share, 1.0)
+
+
+@dataclass(frozen=True)
+class MatchTable:
+    """The descriptor kpmd of every match of the union.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        Names.
+    descriptors : ndarray, shape (M, C), float32
+        Values.
+    """
+
+    columns: tuple[str, ...]
+    descriptors: Float32Array
+
+    def select(self, columns: tuple[str, ...]) -> Float32Array:
+        """Return the named columns, in that order."""
+        return np.ascontiguousarray(self.descriptors[:, [self.columns.index(name) for name in columns]])
+
+    def column(self, name: str) -> FloatArray:
+        """Return one column."""
+        return self.descriptors[:, self.columns.index(name)].astype(np.float64)
+
+
+def match_table(
+    union: Union,
+    frames: MatchFrames,
+    table: StandardTable,
+    sfm: IntArray,
+    weighted: FloatArray,
+    two_keypoint: tuple[FloatArray, FloatArray],
+    around: FloatArray,
+    pair: tuple[float, float, float],
+) -> MatchTable:
+    """Compute kpmd (section 4.6): the paper's three columns, and ours.
+
+    Parameters
+    ----------
+    union : Union
+        M matches.
+    frames : MatchFrames
+        Of each match.
+    table : StandardTable
+        Holds d_r and t_k; a match that misses them gets 1 and 0.
+    sfm, weighted : ndarray, shape (len(X),)
+        Votes of each row of X and votes weighted by the 2keypoint matches' probabilities; matches outside X get 0.
+    two_keypoint : tuple of ndarray, shape (len(X),)
+        From `two_keypoint_scores`.
+    around : ndarray, shape (M, 4), float64
+        From `epiprior.ranking.coherence.coherence`.
+    pair : tuple of float
+        From `pair_columns`; the same for every match.
+    """
+    votes = lookup(sfm.astype(np.float64), union.in_x, 0.0)
+    share = lookup(weighted, union.in_x, 0.0)
+    rivals = np.bincount(union.location1)[union.location1] + np.bincount(union.location2)[union.location2] - 2
+    rival = np.maximum(_best_rival(share, union.location1), _best_rival(share, union.location2))
+    columns = [
+        votes,
+        union.ratios(table),
+        lookup(table.similarity_weight, union.in_standard, 0.0),
+        lookup(table.mutual.astype(np.float64), union.in_standard, 0.0),
+        lookup(table.distance_ratio_backward, union.in_standard, 1.0),
+        frames.similarity,
+        frames.fixed_similarity,
+        lookup(two_keypoint[0], union.in_x, 0.0),
+        lookup(two_keypoint[1], union.in_x, 0.0),
+        votes / max(float(votes.max(initial=0)), 1.0),
+        share / max(float(share.max(initial=0)), 1e-12),
+        share / np.maximum(share + rival, 1e-12),
+        rivals.astype(np.float64),
+        frames.roll_error,
+        np.abs(frames.scale_change),
+        *around.T,
+        *(np.full(len(union), value) for value in pair),
+    ]
+    return MatchTable(DEFAULT_MATCH_COLUMNS, np.column_stack(columns).astype(np.float32))

@@ -1,0 +1,218 @@
+"""Step 6: rough fundamental matrices from pairs of 2keypoint matches, and their votes (paper, section 4.5)."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numba
+import numpy as np
+
+from epiprior.geometry import centred_columns
+from epiprior.ranking.frames import MatchFrames
+from epiprior.types import FloatArray, IntArray
+
+_CHUNK = 512
+_PAIRS = 1_250
+
+
+def frame_points(
+    frames: MatchFrames,
+    main: IntArray,
+    other: IntArray,
+    *,
+    frame: str = "feature",
+    radius: float = 6.0,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the eight point matches that each 2keypoint match stands for.
+
+    Each of its two matches gives itself and three points at angles theta + 2 pi k / 3 and `radius` scales away, in both
+    images by that match's own scale and orientation (the construction of BEEM, as we recall it).
+
+    Parameters
+    ----------
+    frames : MatchFrames
+        Of the putative matches.
+    main, other : ndarray, shape (K,), int64
+        Rows of the two matches of each 2keypoint match.
+    frame : str
+        ``feature``: scale and orientation of SIFT. ``2keypoint``: the similarity that maps (p1, n1) to (p2, n2), of
+        the size of the features.
+    radius : float
+        l, in sigma, > 0. Half the descriptor's window is 6.
+
+    Returns
+    -------
+    y1, y2 : ndarray, shape (K, 8, 2), float64
+        Matched points, working pixels.
+    """
+    rows = np.stack([main, other], axis=1)
+    s1, s2 = frames.scale1[rows], frames.scale2[rows]
+    a1, a2 = frames.orientation1_rad[rows], frames.orientation2_rad[rows]
+    if frame == "2keypoint":
+        v1, v2 = frames.x1[other] - frames.x1[main], frames.x2[other] - frames.x2[main]
+        length1, length2 = np.hypot(*v1.T), np.hypot(*v2.T)
+        a1 = np.repeat(np.arctan2(v1[:, 1], v1[:, 0])[:, None], 2, axis=1)
+        a2 = np.repeat(np.arctan2(v2[:, 1], v2[:, 0])[:, None], 2, axis=1)
+        size = np.sqrt(s1 * s2)
+        ratio = np.sqrt(length2 / length1)[:, None]
+        s1, s2 = size / ratio, size * ratio
+    return _around(frames.x1[rows], s1 * radius, a1), _around(frames.x2[rows], s2 * radius, a2)
+
+
+def _around(x: FloatArray, reach: FloatArray, angle: FloatArray) -> FloatArray:
+    """Return each point (K, 2, 2) and three around it, as (K, 8, 2)."""
+    turns = angle[:, :, None] + 2 * np.pi * np.arange(3) / 3
+    offsets = reach[:, :, None, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    points = np.concatenate([x[:, :, None], x[:, :, None] + offsets], axis=2)
+    return points.reshape(len(x), 8, 2)
+
+
+def rough_fundamental_matrices(y1: FloatArray, y2: FloatArray) -> FloatArray:
+    """Return a rough fundamental matrix for every two 2keypoint matches.
+
+    Parameters
+    ----------
+    y1, y2 : ndarray, shape (K, 8, 2), float64
+        From `frame_points`.
+
+    Returns
+    -------
+    ndarray, shape (K (K - 1) / 2, 3, 3), float64
+        Normalised eight-point algorithm on the 16 points of each two; rank 2, Frobenius norm 1. Pairs in the order
+        (0, 1), (0, 2), ..., (1, 2), ...
+
+    References
+    ----------
+    Hartley and Zisserman, algorithm 11.1.
+    """
+    i, j = np.triu_indices(len(y1), 1)
+    F = np.empty((len(i), 3, 3))
+
+    def work(first: int) -> None:
+        part = slice(first, first + _PAIRS)
+        F[part] = _fit_pairs(y1, y2, i[part], j[part])
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        list(pool.map(work, range(0, len(i), _PAIRS)))
+    return F
+
+
+def _fit_pairs(y1: FloatArray, y2: FloatArray, i: IntArray, j: IntArray) -> FloatArray:
+    p1, T1 = _condition_pairs(y1, i, j)
+    p2, T2 = _condition_pairs(y2, i, j)
+    _, vectors = np.linalg.eigh(_moments(p1, p2))
+    U, s, Vt = np.linalg.svd(vectors[:, :, 0].reshape(-1, 3, 3))
+    s[:, 2] = 0
+    F = np.swapaxes(T2, 1, 2) @ (U * s[:, None, :]) @ Vt @ T1
+    return np.asarray(F / np.linalg.norm(F, axis=(1, 2), keepdims=True))
+
+
+def _condition_pairs(y: FloatArray, i: IntArray, j: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the conditioned 16 points of each pair, (P, 16, 2), and the maps that made them, (P, 3, 3)."""
+    p = np.concatenate([y[i], y[j]], axis=1)
+    centre = p.mean(axis=1, keepdims=True)
+    p = p - centre
+    factor = np.sqrt(2.0 / np.maximum((p**2).sum(axis=2).mean(axis=1), 1e-18))
+    T = np.zeros((len(p), 3, 3))
+    T[:, 0, 0] = T[:, 1, 1] = factor
+    T[:, :2, 2] = -factor[:, None] * centre[:, 0]
+    T[:, 2, 2] = 1
+    return p * factor[:, None, None], T
+
+
+@numba.njit(cache=True, nogil=True)
+def _moments(p1, p2):  # type: ignore[no-untyped-def]
+    """Return A'A of the eight-point equations of each group of points."""
+    out = np.zeros((len(p1), 9, 9))
+    row = np.empty(9)
+    for k in range(len(p1)):
+        for q in range(p1.shape[1]):
+            x, y = p1[k, q, 0], p1[k, q, 1]
+            u, v = p2[k, q, 0], p2[k, q, 1]
+            row[0], row[1], row[2] = u * x, u * y, u
+            row[3], row[4], row[5] = v * x, v * y, v
+            row[6], row[7], row[8] = x, y, 1.0
+            for a in range(9):
+                for b in range(a + 1):
+                    out[k, a, b] += row[a] * row[b]
+        for a in range(9):
+            for b in range(a):
+                out[k, b, a] = out[k, a, b]
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"})
+def add_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no-untyped-def]
+    """Add, per match, the matrices within the limit and their weights, in the order of the matrices.
+
+    All matches of the part meet one matrix at a time: the inner loop is over independent sums, which a processor takes
+    many at once without changing any.
+    """
+    x, y, u, v = x1[:, 0].copy(), x1[:, 1].copy(), x2[:, 0].copy(), x2[:, 1].copy()
+    count = np.zeros(len(x), np.int32)
+    none = np.float32(0)
+    for k in range(F.shape[1]):
+        f0, f1, f2 = F[0, k], F[1, k], F[2, k]
+        f3, f4, f5 = F[3, k], F[4, k], F[5, k]
+        f6, f7, f8 = F[6, k], F[7, k], F[8, k]
+        w = weights[k]
+        for m in range(len(x)):
+            l0 = f0 * x[m] + f1 * y[m] + f2
+            l1 = f3 * x[m] + f4 * y[m] + f5
+            l2 = f6 * x[m] + f7 * y[m] + f8
+            r0 = f0 * u[m] + f3 * v[m] + f6
+            r1 = f1 * u[m] + f4 * v[m] + f7
+            e = u[m] * l0 + v[m] * l1 + l2
+            hit = e * e < limit_sq * (l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1)
+            count[m] += np.int32(hit)
+            weighted[m] += w if hit else none
+    votes[:] = count
+
+
+def count_votes(
+    F: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    threshold: float = 3.0,
+    weights: FloatArray | None = None,
+    threads: int | None = None,
+) -> tuple[IntArray, FloatArray]:
+    """Count for each match the matrices it supports: the paper's sfm.
+
+    Parameters
+    ----------
+    F : ndarray, shape (P, 3, 3), float64
+        Rough fundamental matrices.
+    x1, x2 : ndarray, shape (M, 2), float64
+        Putative matches, pixels.
+    threshold : float
+        A match supports a matrix when its Sampson distance is below this, pixels.
+    weights : ndarray, shape (P,), float64, optional
+        Weight of each matrix's vote; one by default.
+    threads : int, optional
+        Threads; by default as many as there are processors. It does not change the result.
+
+    Returns
+    -------
+    sfm : ndarray, shape (M,), int64
+        Number of supported matrices, 0 to P.
+    weighted : ndarray, shape (M,), float64
+        Sum of their weights.
+    """
+    votes, weighted = np.zeros(len(x1), np.int64), np.zeros(len(x1), np.float32)
+    if not len(F) or not len(x1):
+        return votes, weighted.astype(np.float64)
+    # Centred coordinates keep single precision exact enough: the largest term is then of the order of the image.
+    c1, c2 = x1.mean(axis=0), x2.mean(axis=0)
+    columns = centred_columns(F, c1, c2)
+    w = np.ones(len(F), np.float32) if weights is None else weights.astype(np.float32)
+    p1, p2 = (x1 - c1).astype(np.float32), (x2 - c2).astype(np.float32)
+
+    def work(first: int) -> None:
+        part = slice(first, first + _CHUNK)
+        add_votes(columns, w, p1[part], p2[part], np.float32(threshold**2), votes[part], weighted[part])
+
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        list(pool.map(work, range(0, len(x1), _CHUNK)))
+    return votes, weighted.astype(np.float64)

@@ -1,0 +1,1 @@
+"""Whether a fundamental matrix can be relied on."""

@@ -1,0 +1,1 @@
+"""What each step adds, and what limits the results (paper, section Analysis)."""

@@ -1,0 +1,140 @@
+"""What limits the results: runs that know the truth (beyond the paper).
+
+A pair can be lost for three reasons: its putative matches hold too few right ones; no hypothesis among the rough
+fundamental matrices is good; or a good one is there and another is chosen. Each oracle takes away one of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from epiprior.geometry import eight_point
+from epiprior.kernels.refine import SCORE_THRESHOLD_PX, SHRINKING_THRESHOLDS_PX, refine_fundamental, weighted_score
+from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
+
+ENOUGH_MATCHES = (8, 15)
+_SURE = 0.99
+
+
+@dataclass(frozen=True, kw_only=True)
+class Labelled:
+    """A ranked set and the truth about it.
+
+    Parameters
+    ----------
+    matches : MatchSet
+        Of one roll hypothesis.
+    right : ndarray, shape (N,), bool
+        Which of its matches are right.
+    pixel : float
+        Given pixels per working pixel; thresholds are meant in working pixels.
+    """
+
+    matches: MatchSet
+    right: BoolArray
+    pixel: float = 1.0
+
+    def right_of(self, matches: MatchSet) -> BoolArray:
+        """Return which of some of these matches, in any order, are right."""
+        width = 1 + int(self.matches.feature2.max(initial=0))
+        known = self.matches.feature1 * width + self.matches.feature2
+        order = np.argsort(known)
+        place = np.searchsorted(known, matches.feature1 * width + matches.feature2, sorter=order)
+        return self.right[order[place]]
+
+    @property
+    def right_one_to_one(self) -> MatchSet:
+        """Right matches, each feature once, best first."""
+        return self.matches.take(self.right).one_to_one()
+
+
+def labels_first(labelled: Labelled) -> MatchSet:
+    """Return the set with labels for probabilities: right matches first, otherwise in their order."""
+    order = np.argsort(~labelled.right, kind="stable")
+    probability = np.where(labelled.right, _SURE, 1 - _SURE)
+    return replace(labelled.matches, probability=probability).take(order)
+
+
+def fit_right(labelled: Labelled) -> FloatArray | None:
+    """Return F fitted to the right one-to-one matches: the ceiling that their number and noise set.
+
+    Returns
+    -------
+    ndarray, shape (3, 3), or None
+        None for fewer than eight, or where they decide nothing.
+    """
+    chosen = labelled.right_one_to_one
+    F = eight_point(chosen.x1, chosen.x2)
+    return None if F is None else _refined(F, chosen, np.ones(len(chosen)), labelled.pixel)
+
+
+def refine_on_all(F: FloatArray, matches: MatchSet, pixel: float = 1.0) -> FloatArray:
+    """Return F refined as the method does it: on all one-to-one matches, weighted by their probabilities."""
+    wide = matches.one_to_one()
+    return _refined(F, wide, wide.probability, pixel)
+
+
+def _refined(F: FloatArray, matches: MatchSet, weights: FloatArray, pixel: float) -> FloatArray:
+    thresholds = [pixel * t for t in SHRINKING_THRESHOLDS_PX]
+    return refine_fundamental(
+        F, matches.x1, matches.x2, weights, thresholds, score_threshold_px=pixel * SCORE_THRESHOLD_PX
+    )
+
+
+def score(F: FloatArray, matches: MatchSet, pixel: float = 1.0) -> float:
+    """Return the support of F among all one-to-one matches, weighted by their probabilities."""
+    wide = matches.one_to_one()
+    return weighted_score(F, wide.x1, wide.x2, wide.probability, pixel * SCORE_THRESHOLD_PX)
+
+
+def mean_errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
+    """Return the mean Sampson distance of the control points for each of many matrices.
+
+    Parameters
+    ----------
+    F : ndarray, shape (P, 3, 3), float64
+        Fundamental matrices.
+    x1, x2 : ndarray, shape (N, 2), float64
+        Control points, pixels.
+
+    Returns
+    -------
+    ndarray, shape (P,), float64
+        ``inf`` where a point has no epipolar lines.
+    """
+    h1 = np.column_stack([x1, np.ones(len(x1))])
+    h2 = np.column_stack([x2, np.ones(len(x2))])
+    line2 = h1 @ np.swapaxes(F, 1, 2)
+    line1 = h2 @ F
+    gradient = np.sqrt((line2[:, :, :2] ** 2).sum(axis=2) + (line1[:, :, :2] ** 2).sum(axis=2))
+    algebraic = np.abs((line2 * h2).sum(axis=2))
+    distance = np.divide(algebraic, gradient, out=np.full_like(algebraic, np.inf), where=gradient > 0)
+    return np.asarray(distance.mean(axis=1))
+
+
+def best_hypotheses(
+    labelled: Labelled, points: tuple[FloatArray, FloatArray], count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the rough fundamental matrices with the smallest true errors, and these.
+
+    Parameters
+    ----------
+    labelled : Labelled
+        Carries the rough matrices.
+    points : tuple of ndarray, shape (N, 2), float64
+        Control points of both images.
+    count : int
+        How many, at most.
+
+    Returns
+    -------
+    F : ndarray, shape (at most count, 3, 3), float64
+        Best first.
+    errors_px : ndarray, shape (at most count,), float64
+        Ascending.
+    """
+    errors = mean_errors_px(labelled.matches.rough_matrices, *points)
+    order: IntArray = np.argsort(errors, kind="stable")[:count]
+    return labelled.matches.rough_matrices[order], errors[order]

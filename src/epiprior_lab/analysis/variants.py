@@ -1,0 +1,210 @@
+"""Variants of the method, composed of its own steps (paper, "Analysis").
+
+Everything before the votes is computed once per pair and preset; the variants differ in what they do with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+
+from epiprior.features.detect import View
+from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
+from epiprior.presets import DEFAULT, PreprocessSettings
+from epiprior.rank import rank_voted
+from epiprior.ranking.frames import MatchFrames
+from epiprior.ranking.hypothesis import Candidates, UnitedMatches, Votes, cast_votes, find_candidates
+from epiprior.ranking.models import RankingModel
+from epiprior.ranking.probabilities import Union, two_keypoint_scores
+from epiprior.ranking.two_keypoints import TwoKeypointMatches
+from epiprior.ranking.votes import count_votes, frame_points, rough_fundamental_matrices
+from epiprior.types import Features, FloatArray, IntArray, MatchSet
+from epiprior_lab.evaluation.rankings import ranking_orders
+
+Voter = Callable[[MatchFrames, TwoKeypointMatches, FloatArray, PreprocessSettings], Votes]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposals:
+    """What precedes the votes, for one pair and one preset.
+
+    Parameters
+    ----------
+    prepared : PreparedPair
+        Features and standard matches.
+    candidates : tuple of Candidates
+        X and the matches of 2keypoints, one for each roll hypothesis.
+    probabilities : tuple of ndarray
+        That each match of 2keypoints is right, for each roll hypothesis.
+    settings : PreprocessSettings
+        The preset.
+    model : RankingModel
+        Its model.
+    """
+
+    prepared: PreparedPair
+    candidates: tuple[Candidates, ...]
+    probabilities: tuple[FloatArray, ...]
+    settings: PreprocessSettings
+    model: RankingModel
+
+
+def propose(
+    images: tuple[View, View],
+    features: tuple[Features, Features],
+    settings: PreprocessSettings,
+    model: RankingModel,
+) -> Proposals:
+    """Run the method up to the probabilities of the matches of 2keypoints (sections 4.1 to 4.4).
+
+    Parameters
+    ----------
+    images : tuple of path, ndarray or Photograph
+        The photographs.
+    features : tuple of Features
+        Of both.
+    settings, model
+        Preset and model.
+    """
+    prepared = prepare_pair(*images, settings, features1=features[0], features2=features[1])
+    candidates = tuple(find_candidates(prepared, roll, settings) for roll in roll_hypotheses(prepared, settings))
+    probabilities = tuple(
+        model.predict_two_keypoint(found.two_keypoints.select(model.two_keypoint_columns)) for found in candidates
+    )
+    return Proposals(
+        prepared=prepared, candidates=candidates, probabilities=probabilities, settings=settings, model=model
+    )
+
+
+def ranked_sets(
+    proposals: Proposals,
+    settings: PreprocessSettings | None = None,
+    voter: Voter = cast_votes,
+    *,
+    standard: bool = True,
+) -> tuple[MatchSet, ...]:
+    """Vote and rank (sections 4.5 and 4.6), one set for each roll hypothesis.
+
+    Parameters
+    ----------
+    proposals : Proposals
+        From `propose`.
+    settings : PreprocessSettings, optional
+        Of the votes, instead of the preset's.
+    voter : callable
+        `cast_votes`, or `oriented_votes`.
+    standard : bool
+        Whether X is united with X_L and X_B. False: X alone, whose matches then miss d_r and t_k as the paper says.
+        The model is the same and was trained on the united matches; so are the matches of 2keypoints with their
+        coherence, which X_L and X_B have a say in.
+    """
+    return tuple(
+        rank_voted(
+            proposals.prepared,
+            found if standard else _x_alone(found),
+            voter(found.frames, found.two_keypoints, probability, settings or proposals.settings),
+            proposals.model,
+        )
+        for found, probability in zip(proposals.candidates, proposals.probabilities, strict=True)
+    )
+
+
+def _x_alone(found: Candidates) -> Candidates:
+    """Return the candidates without X_L and X_B."""
+    union = found.united.union
+    rows = union.in_x >= 0
+    alone = Union(union.location1[rows], union.location2[rows], union.in_x[rows], np.full(len(found.X), -1))
+    return replace(found, united=UnitedMatches(union=alone, frames=found.frames))
+
+
+def oriented_votes(
+    frames: MatchFrames,
+    pairs: TwoKeypointMatches,
+    probability: FloatArray,
+    settings: PreprocessSettings = DEFAULT,
+) -> Votes:
+    """Make a rough F of every two oriented matches instead of every two matches of 2keypoints.
+
+    A match stands for itself and three points around it by scale and orientation of its features, so that two of them
+    give eight points, as in BEEM (as we recall it); two matches of 2keypoints give sixteen.
+
+    Parameters
+    ----------
+    frames, pairs, probability, settings
+        As for `epiprior.ranking.hypothesis.cast_votes`. Taken are as many matches, those with the best matches of
+        2keypoints.
+
+    Returns
+    -------
+    Votes
+        `chosen` is empty: no match of 2keypoints made a matrix.
+    """
+    best, _ = two_keypoint_scores(pairs, probability, len(frames))
+    order = np.lexsort((np.arange(len(best)), -best))
+    rows = order[best[order] > 0][: settings.two_keypoint_count]
+    y1, y2 = frame_points(frames, rows, rows, frame="feature", radius=settings.frame_radius)
+    F = rough_fundamental_matrices(y1[:, :4], y2[:, :4])
+    i, j = np.triu_indices(len(rows), 1)
+    strengths = best[rows]
+    sfm, weighted = count_votes(F, frames.x1, frames.x2, settings.vote_threshold, strengths[i] * strengths[j])
+    none = np.empty(0, np.int64)
+    return Votes(matrices=F, chosen=none, strengths=strengths, sfm=sfm, weighted=weighted, probability=probability)
+
+
+def reordered(matches: MatchSet, ranking: str) -> MatchSet:
+    """Return the matches in the order of one measure alone, its values instead of probabilities.
+
+    Parameters
+    ----------
+    matches : MatchSet
+        A ranked set.
+    ranking : str
+        ``2keypoint``, by the best match of 2keypoints, or ``sfm``, whose share of the matrices stands for the
+        probability. Matches without a positive value are left out. ``final``: the set as it is.
+    """
+    if ranking == "final":
+        return matches
+    taken = matches.take(ranking_orders(matches)[ranking])
+    if ranking == "2keypoint":
+        return replace(taken, probability=taken.two_keypoint_probability)
+    return replace(taken, probability=taken.supporting_matrices / max(len(taken.rough_matrices), 1))
+
+
+@numba.njit(cache=True, nogil=True)
+def _supports(F, x1, x2, limit_sq, counts):  # type: ignore[no-untyped-def]
+    for k in range(len(F)):
+        count = 0
+        for m in range(len(x1)):
+            x, y, u, v = x1[m, 0], x1[m, 1], x2[m, 0], x2[m, 1]
+            l0 = F[k, 0, 0] * x + F[k, 0, 1] * y + F[k, 0, 2]
+            l1 = F[k, 1, 0] * x + F[k, 1, 1] * y + F[k, 1, 2]
+            r0 = F[k, 0, 0] * u + F[k, 1, 0] * v + F[k, 2, 0]
+            r1 = F[k, 0, 1] * u + F[k, 1, 1] * v + F[k, 2, 1]
+            e = u * l0 + v * l1 + F[k, 2, 0] * x + F[k, 2, 1] * y + F[k, 2, 2]
+            count += e * e < limit_sq * (l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1)
+        counts[k] = count
+
+
+def supports(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> IntArray:
+    """Return how many matches support each matrix: their Sampson distance is below a threshold.
+
+    Parameters
+    ----------
+    F : ndarray, shape (P, 3, 3), float64
+        Fundamental matrices.
+    x1, x2 : ndarray, shape (M, 2), float64
+        Matches, pixels.
+    threshold_px : float
+        Pixels.
+
+    Returns
+    -------
+    ndarray, shape (P,), int64
+        0 to M.
+    """
+    counts = np.zeros(len(F), np.int64)
+    _supports(np.ascontiguousarray(F), x1, x2, threshold_px**2, counts)
+    return counts

@@ -1,0 +1,1 @@
+"""Tasks over pairs on processes or a cluster, their stored results, and seeds."""

@@ -1,0 +1,316 @@
+"""Work over pairs: spread over processes or a cluster, each result kept on its own under a content key.
+
+A run that was killed continues where it stopped. The bytes are the same whatever the number of workers and wherever
+they are: every task runs with one thread, and arguments and results pass through pickle, in this process as well.
+"""
+
+import contextlib
+import functools
+import os
+import pickle
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from dataclasses import dataclass, field
+from itertools import islice
+from operator import attrgetter, itemgetter
+from pathlib import Path
+from typing import Any
+
+import cloudpickle
+import joblib
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from epiprior.errors import EpipriorError, SettingsError
+from epiprior_lab.compute.executors import Pool, open_pool
+from epiprior_lab.compute.store import ContentKeys, Installation, read_result, result_path, write_result
+
+WORKERS_VARIABLE = "EPIPRIOR_WORKERS"
+SCHEDULER_VARIABLE = "EPIPRIOR_SCHEDULER"
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_SECONDS_BETWEEN_LINES = 10.0
+_ONE_AT_A_TIME = threading.RLock()
+
+
+class TaskError(EpipriorError):
+    """A task failed, or the workers were lost; the message names the work, the task and the cause."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One call of the function of `map_tasks`.
+
+    Attributes
+    ----------
+    name : str
+        Unique within the call, usually the pair id.
+    payload : dict
+        Keyword arguments of the function: None, numbers, strings, bytes, paths, dataclasses, numpy arrays,
+        and lists, tuples and dicts of these.
+    files : tuple of Path
+        Files that the function reads; their contents enter the key.
+    """
+
+    name: str
+    payload: dict[str, Any] = field(default_factory=dict)
+    files: tuple[Path, ...] = ()
+
+
+def default_workers() -> int:
+    """Return the number of workers: ``EPIPRIOR_WORKERS``, or the cores that this process may use.
+
+    Raises
+    ------
+    SettingsError
+        If the variable is not a positive integer.
+    """
+    text = os.environ.get(WORKERS_VARIABLE, "")
+    if not text:
+        return joblib.cpu_count()  # type: ignore[no-any-return]
+    if not text.isdecimal() or int(text) < 1:
+        raise SettingsError(f"{WORKERS_VARIABLE} = {text!r}: expected a positive integer")
+    return int(text)
+
+
+def default_scheduler() -> str | None:
+    """Return the address of the dask scheduler that gets the tasks: ``EPIPRIOR_SCHEDULER``, or None."""
+    return os.environ.get(SCHEDULER_VARIABLE) or None
+
+
+def map_tasks(
+    function: Callable[..., Any],
+    tasks: Sequence[Task],
+    *,
+    workers: int,
+    description: str,
+    store: Path | None = None,
+    scheduler: str | None = None,
+) -> list[Any]:
+    """Call ``function(**task.payload)`` for every task.
+
+    Parameters
+    ----------
+    function : callable
+        A module-level function; deterministic, reads nothing but its arguments and the task's files. Classes of
+        its results can be imported.
+    tasks : sequence of Task
+        May be empty. Names are unique.
+    workers : int
+        Processes, ``>= 1``; with 1 the tasks run in this process. Not used with a scheduler.
+    description : str
+        What the progress bar and error messages call this work.
+    store : Path, optional
+        Folder of results, made if absent. It keeps one result per function and task name, and uses it again
+        only if its key is the same: function, source of its module and of all that this imports, versions of
+        the installed distributions, payload, contents of the files. Give presets and families a folder each.
+        Only this process writes there.
+    scheduler : str, optional
+        Address of a dask scheduler, such as ``tcp://host:8786``, whose workers get the tasks; `default_scheduler`
+        by default. They need the same installation, and the same files under the same paths.
+
+    Returns
+    -------
+    list
+        Results in the order of the tasks.
+
+    Raises
+    ------
+    TaskError
+        If a task fails: no more are started, those that were handed out end and are kept, and the error names the
+        first one, in the order of the tasks, that failed; this does not depend on the number of workers. Also if a
+        file of a task cannot be read, or the workers are lost. Results that were ready stay in the store.
+    SettingsError
+        If `workers` is below one, a name is repeated, a payload holds something that has no stable key, or the
+        scheduler cannot be used.
+
+    Notes
+    -----
+    An interrupt ends workers on this machine at once; workers of a cluster end the task that they are at. What the
+    store holds by then is used when the run is started again.
+    """
+    if workers < 1:
+        raise SettingsError(f"workers = {workers}: expected 1 or more")
+    names = [task.name for task in tasks]
+    repeated = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set()
+    if repeated:
+        raise SettingsError(f"{description}: repeated task name {min(repeated)!r}")
+    keys = ContentKeys(function)
+    results: list[Any] = [None] * len(tasks)
+    jobs = []
+    for index, task in enumerate(tasks):
+        key = _key(keys, task, description)
+        path = None if store is None else result_path(store, function, task.name)
+        body = None if path is None else read_result(path, key)
+        if body is None:
+            label = f"{description}: task {task.name!r}"
+            jobs.append(_Job(index=index, task=task, label=label, key=key, path=path))
+        else:
+            results[index] = pickle.loads(body)
+    if store is not None:
+        store.mkdir(parents=True, exist_ok=True)
+    scheduler = (scheduler or default_scheduler()) if jobs else None
+    # Limits hold around the workers too: they inherit them through the environment when they load libraries.
+    with (
+        _progress(description, len(tasks), len(tasks) - len(jobs)) as advance,
+        single_threaded(),
+        open_pool(workers=min(workers, len(jobs)), scheduler=scheduler) as pool,
+    ):
+        installation = keys.installation if pool.remote else None
+        for job, body in _execute(function, jobs, pool, description, installation):
+            if job.path is not None:
+                write_result(job.path, job.key, body)
+            results[job.index] = pickle.loads(body)
+            advance()
+    return results
+
+
+@contextlib.contextmanager
+def single_threaded() -> Iterator[None]:
+    """Limit BLAS, OpenMP, OpenCV and numba to one thread: sums are then taken in one order everywhere."""
+    import cv2
+    import numba
+    import threadpoolctl
+
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    threads = cv2.getNumThreads(), numba.get_num_threads()
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))  # for libraries that are loaded from now on
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
+    try:
+        with threadpoolctl.threadpool_limits(1):
+            yield
+    finally:
+        cv2.setNumThreads(threads[0])
+        numba.set_num_threads(threads[1])
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    """A task whose result is not in the store; `path` is where it goes, if anywhere."""
+
+    index: int
+    task: Task
+    label: str
+    key: bytes
+    path: Path | None
+
+
+def _key(keys: ContentKeys, task: Task, description: str) -> bytes:
+    try:
+        return keys.key(task.payload, task.files)
+    except TypeError as error:
+        raise SettingsError(f"{description}: payload of task {task.name!r}: {error}") from error
+    except OSError as error:
+        message = f"cannot read {error.filename}: {error.strerror}"
+        raise TaskError(f"{description}: task {task.name!r}: {message}") from error
+
+
+def _execute(
+    function: Callable[..., Any], jobs: Sequence[_Job], pool: Pool, description: str, installation: Installation | None
+) -> Iterator[tuple[_Job, bytes]]:
+    """Yield results as they are ready.
+
+    Tasks are handed out in order and never taken back. When one fails, all before it have therefore been handed out;
+    once these ended, the first failure in order is known, whatever the number of workers.
+    """
+    folder = Path.cwd()
+    waiting = iter(jobs)
+    running: dict[Future[bytes], _Job] = {}
+    failures: list[tuple[int, TaskError]] = []
+    while True:
+        try:
+            room = 0 if failures else max(0, pool.capacity() - len(running))
+            for job in islice(waiting, room):
+                # Pickled here, arguments belong to the task, and its arrays are writable wherever it runs.
+                call = cloudpickle.dumps((function, job.task.payload))
+                running[pool.executor.submit(_run, call, job.label, folder, installation)] = job
+        except BrokenExecutor:
+            failures.append((-1, _lost(running.values(), description)))
+        if not running:
+            break
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            job = running[future]
+            try:
+                body = future.result()
+            except (BrokenExecutor, CancelledError):
+                failures.append((-1, _lost(running.values(), description)))
+            except Exception as error:  # noqa: BLE001 - of the task, or of a cluster that gave it up
+                failures.append((job.index, error if isinstance(error, TaskError) else _failure(job.label, error)))
+            else:
+                yield job, body
+            del running[future]
+    if failures:
+        raise min(failures, key=itemgetter(0))[1]
+
+
+def _lost(jobs: Iterable[_Job], description: str) -> TaskError:
+    names = ", ".join(repr(job.task.name) for job in sorted(jobs, key=attrgetter("index")))
+    return TaskError(
+        f"{description}: workers were killed (perhaps memory ran out: {WORKERS_VARIABLE} sets their number), or "
+        f"their scheduler was lost; in flight were {names}; what was ready is kept"
+    )
+
+
+def _run(call: bytes, label: str, folder: Path, installation: Installation | None) -> bytes:
+    """Run one task with one thread, and return its result pickled."""
+    # Thread limits and working folder belong to the process; a worker of a cluster may have several threads.
+    with _ONE_AT_A_TIME, single_threaded():
+        try:
+            with contextlib.chdir(folder):
+                if installation is not None and not installation.is_here():
+                    where = f"worker {os.getpid()} on {socket.gethostname()}"
+                    raise SettingsError(f"{where} has other code or other versions than the process that sent the task")
+                function, payload = cloudpickle.loads(call)
+                return pickle.dumps(function(**payload), protocol=5)
+        except Exception as error:
+            raise _failure(label, error) from error
+
+
+def _failure(label: str, error: Exception) -> TaskError:
+    return TaskError(f"{label} failed: {type(error).__name__}: {error}")
+
+
+# --- progress
+
+
+@contextlib.contextmanager
+def _progress(description: str, total: int, done: int) -> Iterator[Callable[[], None]]:
+    """Yield a function that advances a bar on a terminal, or writes a line every ten seconds elsewhere."""
+    console = Console(stderr=True)
+    if console.is_terminal:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:
+            bar = progress.add_task(description, total=total, completed=done)
+            yield functools.partial(progress.advance, bar)
+        return
+    start = last = time.monotonic()
+    count = done
+
+    def advance() -> None:
+        nonlocal count, last
+        count += 1
+        now = time.monotonic()
+        if now - last >= _SECONDS_BETWEEN_LINES:
+            last = now
+            sys.stderr.write(f"{description}: {count} of {total} after {now - start:.0f} s\n")
+
+    yield advance
+    sys.stderr.write(
+        f"{description}: {total} of {total} after {time.monotonic() - start:.0f} s, {done} from the store\n"
+    )

@@ -1,0 +1,1 @@
+"""Estimators on pairs with ground truth: runs, measures, statistics."""

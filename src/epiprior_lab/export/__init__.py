@@ -1,0 +1,1 @@
+"""Trained classifiers as model folders of the library."""

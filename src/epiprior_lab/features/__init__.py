@@ -1,0 +1,1 @@
+"""Rows of the classifiers, and the matches of a pair."""

@@ -1,0 +1,41 @@
+"""Features of a pair, found once for everything that is then made of them.
+
+All presets and baselines detect the same; they differ in how descriptors are normalised, and in what follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from epiprior.features.detect import FeatureSettings, Photograph, detect_features, load_photograph
+from epiprior.types import Features
+from epiprior_lab.pairsets import Pair
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectedPair:
+    """The working images of a pair and their features.
+
+    Parameters
+    ----------
+    photographs : tuple of Photograph
+        They remember their descriptors at fixed orientations.
+    features : tuple of Features
+        Of both images, at their own orientations.
+    """
+
+    photographs: tuple[Photograph, Photograph]
+    features: tuple[Features, Features]
+
+    @property
+    def pixel_factors(self) -> tuple[float, float]:
+        """Given pixels per working pixel in both images, as `estimate_from_matches` wants them."""
+        return self.photographs[0].factor, self.photographs[1].factor
+
+
+def detect_pair(pair: Pair) -> DetectedPair:
+    """Read both images of a pair and find their features."""
+    settings = FeatureSettings()
+    photo1, photo2 = (load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2))
+    features = detect_features(photo1, settings), detect_features(photo2, settings)
+    return DetectedPair(photographs=(photo1, photo2), features=features)

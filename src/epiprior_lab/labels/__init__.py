@@ -1,0 +1,1 @@
+"""Ground truth of matches, and control points placed by hand."""

@@ -1,0 +1,113 @@
+"""The F of a handful of points clicked by hand, and which of them contradict the others.
+
+A wrong click among few points pulls a least-squares fit onto itself and hides. So F is sought on subsets of
+eight; the points that agree with the best of them are fitted as the study fits control points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from epiprior.geometry import MIN_MATCHES, as_points, eight_point, sampson_distance
+from epiprior.kernels.refine import refine_fundamental
+from epiprior.types import BoolArray, FloatArray
+from epiprior.verification.degeneracy import fit_homography, homography_distance
+from epiprior_lab.labels.ground_truth import fit_to_points
+
+MIN_JUDGED = 12
+"""So many pairs at least before one is called far off: with fewer, F gives way and the blame falls on others."""
+
+_SAMPLES = 150
+_REFINED = 3
+_SHRINKING = (8.0, 6.0, 4.0, 3.0, 3.0)
+_FAR_CLICKS = 3.0
+_FAR_MEDIANS = 6.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PairFit:
+    """What the points say about the pair of images.
+
+    Parameters
+    ----------
+    F : ndarray, shape (3, 3)
+        Fundamental matrix with ``x2' F x1 = 0``, of those points that agree.
+    residuals : ndarray, shape (N,)
+        Sampson distance of each point, pixels, >= 0.
+    far_off : ndarray, shape (N,), bool
+        True where a point contradicts the others; all False below `MIN_JUDGED` points.
+    one_plane : bool
+        True where one homography explains all points that are not far off: F is then one of many that do.
+    """
+
+    F: FloatArray
+    residuals: FloatArray
+    far_off: BoolArray
+    one_plane: bool
+
+
+def fit_pairs(x1: FloatArray, x2: FloatArray, *, click_px: float = 1.0) -> PairFit | None:
+    """Fit F to points clicked by hand; the same points give the same result.
+
+    Parameters
+    ----------
+    x1, x2 : ndarray, shape (N, 2), float64
+        Points, pixels.
+    click_px : float
+        How precisely a hand clicks, pixels, > 0.
+
+    Returns
+    -------
+    PairFit or None
+        None for fewer than eight points, or where they decide nothing (all on one line, or one on another).
+
+    Raises
+    ------
+    FeatureError
+        If a shape is wrong or a value is not finite.
+
+    Notes
+    -----
+    A point is far off where its distance is above both 3 `click_px` and 6 times the median distance. This is a hint, no
+    verdict: where nearly all points lie on one plane, a wrong one may look like a point off the plane, turn the epipole
+    its way and put the blame on another.
+    """
+    x1, x2 = as_points("x1", x1), as_points("x2", x2)
+    agreeing = np.ones(len(x1), dtype=bool)
+    if len(x1) >= MIN_JUDGED:
+        agreeing = _agreeing(x1, x2, click_px)
+    F = fit_to_points(x1[agreeing], x2[agreeing])
+    if F is None:
+        return None
+    residuals = sampson_distance(F, x1, x2)
+    far_off = residuals > _limit(residuals, click_px) if len(x1) >= MIN_JUDGED else ~agreeing
+    near1, near2 = x1[~far_off], x2[~far_off]
+    H = fit_homography(near1, near2, _FAR_CLICKS * click_px)
+    one_plane = H is not None and bool((homography_distance(H, near1, near2) < _FAR_CLICKS * click_px).all())
+    return PairFit(F=F, residuals=residuals, far_off=far_off, one_plane=one_plane)
+
+
+def _limit(residuals: FloatArray, click_px: float) -> float:
+    return max(_FAR_CLICKS * click_px, _FAR_MEDIANS * float(np.median(residuals)))
+
+
+def _agreeing(x1: FloatArray, x2: FloatArray, click_px: float) -> BoolArray:
+    """Return which points agree with the best of the fits to all and to subsets of eight, refined; at least eight."""
+    cut = _FAR_CLICKS * click_px
+
+    def cost(F: FloatArray) -> float:
+        return float(np.square(np.minimum(sampson_distance(F, x1, x2) / cut, 1.0)).sum())
+
+    rng = np.random.default_rng(0)
+    subsets = [np.arange(len(x1)), *(rng.choice(len(x1), MIN_MATCHES, replace=False) for _ in range(_SAMPLES))]
+    fits = [F for F in (eight_point(x1[subset], x2[subset]) for subset in subsets) if F is not None]
+    best = sorted(fits, key=cost)[:_REFINED]
+    thresholds = [factor * click_px for factor in _SHRINKING]
+    best += [refine_fundamental(F, x1, x2, thresholds=thresholds, score_threshold_px=cut) for F in best]
+    if not best:
+        return np.ones(len(x1), dtype=bool)
+    residuals = sampson_distance(min(best, key=cost), x1, x2)
+    agreeing: BoolArray = residuals <= max(_limit(residuals, click_px), float(np.sort(residuals)[MIN_MATCHES - 1]))
+    return agreeing

@@ -1,0 +1,231 @@
+"""The page and what it asks for, over HTTP, for this machine alone.
+
+Any web page that is open in the same browser could send requests to a server on loopback. Three locks keep them out:
+all addresses begin with a secret that only the printed URL holds; the Host header has to be this server's, so that no
+foreign name can be made to point here; and a write has to be JSON, from this origin.
+"""
+
+from __future__ import annotations
+
+import functools
+import hmac
+import json
+import secrets
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from typing import Any
+
+from epiprior.errors import EpipriorError, SettingsError
+from epiprior_lab.labels.by_hand.session import ConflictError, LabelSession
+
+LARGEST_BODY = 1_000_000
+_ADDRESS = "127.0.0.1"
+_SCRIPTS = ("list.js", "main.js", "pairs.js", "pane.js", "server.js")
+_PAGE = {
+    "": ("index.html", "text/html; charset=utf-8"),
+    "label.css": ("label.css", "text/css; charset=utf-8"),
+    **{name: (name, "text/javascript; charset=utf-8") for name in _SCRIPTS},
+}
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+@dataclass(frozen=True)
+class _Answer:
+    status: HTTPStatus
+    content_type: str
+    body: bytes
+    last: bool = False
+    """Whether the server ends once this is sent."""
+
+
+class _RequestError(Exception):
+    """A request that is not answered as it wishes."""
+
+    def __init__(self, status: HTTPStatus, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+def _json(value: Any, status: HTTPStatus = HTTPStatus.OK) -> _Answer:
+    return _Answer(status, "application/json", json.dumps(value, allow_nan=False).encode())
+
+
+class LabelServer:
+    """Serves one session's page on 127.0.0.1; a context manager that closes its port.
+
+    Parameters
+    ----------
+    session : LabelSession
+        What is shown and written.
+    port : int
+        In [0, 65535]; 0 takes a free one.
+
+    Raises
+    ------
+    SettingsError
+        If the port is out of range or taken.
+    """
+
+    def __init__(self, session: LabelSession, port: int = 0) -> None:
+        self.session = session
+        self._secret = secrets.token_urlsafe(24)
+        if not 0 <= port <= 65535:
+            raise SettingsError(f"port = {port}, expected 0 to 65535")
+        try:
+            self._http = _HTTPServer((_ADDRESS, port), functools.partial(_Handler, answer=self._answer))
+        except OSError as error:
+            raise SettingsError(f"port = {port}: cannot be used: {error.strerror}") from error
+
+    def __enter__(self) -> LabelServer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._http.server_close()
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on."""
+        return int(self._http.server_address[1])
+
+    @property
+    def url(self) -> str:
+        """The address of the page, secret included."""
+        return f"http://{_ADDRESS}:{self.port}/{self._secret}/"
+
+    def serve(self) -> None:
+        """Answer requests until the page says that it is done, or `stop` is called."""
+        self._http.serve_forever(poll_interval=0.05)
+
+    def stop(self) -> None:
+        """End `serve`; from another thread than the one that serves."""
+        self._http.shutdown()
+
+    def _answer(self, request: _Handler) -> _Answer:
+        """Return the answer to a request that passed no check yet."""
+        if request.headers.get("Host") not in (f"{_ADDRESS}:{self.port}", f"localhost:{self.port}"):
+            raise _RequestError(HTTPStatus.FORBIDDEN, "this server answers to its own name only")
+        prefix = f"/{self._secret}/"
+        if not hmac.compare_digest(request.path[: len(prefix)].encode(), prefix.encode()):
+            raise _RequestError(HTTPStatus.FORBIDDEN, "wrong token: use the address that the command printed")
+        route = request.path[len(prefix) :].partition("?")[0]
+        if request.command == "GET":
+            return self._get(route)
+        return self._post(route, request)
+
+    def _get(self, route: str) -> _Answer:
+        if route in _PAGE:
+            name, content_type = _PAGE[route]
+            return _Answer(HTTPStatus.OK, content_type, _page_file(name))
+        if route in ("image/1", "image/2"):
+            return _Answer(HTTPStatus.OK, "image/png", self.session.images[int(route[-1]) - 1].png)
+        if route == "state":
+            return _json(self.session.state())
+        raise _RequestError(HTTPStatus.NOT_FOUND, "no such page")
+
+    def _post(self, route: str, request: _Handler) -> _Answer:
+        if route not in ("fit", "save", "done"):
+            raise _RequestError(HTTPStatus.NOT_FOUND, "no such page")
+        origin = request.headers.get("Origin")
+        if origin is not None and origin != f"http://{request.headers['Host']}":
+            raise _RequestError(HTTPStatus.FORBIDDEN, "another page's request")
+        sent = request.sent_json()
+        if route == "fit":
+            return _json(self.session.fit(sent.get("points")))
+        if route == "save":
+            return _json({"revision": self.session.save(sent.get("points"), sent.get("revision"))})
+        return replace(_json({"count": self.session.count()}), last=True)
+
+
+@functools.cache
+def _page_file(name: str) -> bytes:
+    return (resources.files("epiprior_lab.labels.by_hand") / "page" / name).read_bytes()
+
+
+class _HTTPServer(ThreadingHTTPServer):
+    daemon_threads = True  # a browser opens connections ahead of need; nobody waits for these in the end
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Pass over a browser that went away in the middle of an answer."""
+        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
+            super().handle_error(request, client_address)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.0"  # a connection per request: nothing is left open when the server ends
+    timeout = 20
+    server_version = "epiprior-lab"
+    sys_version = ""
+
+    def __init__(self, *arguments: Any, answer: Callable[[_Handler], _Answer]) -> None:
+        self._make_answer = answer
+        super().__init__(*arguments)
+
+    def do_GET(self) -> None:
+        self._reply()
+
+    def do_POST(self) -> None:
+        self._reply()
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Log nothing: addresses hold the secret."""
+
+    def sent_json(self) -> dict[str, Any]:
+        """Return the object in the request's body.
+
+        Raises
+        ------
+        _RequestError
+            If the body is missing, too large, or no JSON object.
+        """
+        if self.headers.get_content_type() != "application/json":
+            raise _RequestError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "expected application/json")
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdigit()):
+            raise _RequestError(HTTPStatus.LENGTH_REQUIRED, "expected a Content-Length")
+        if len(length) > 12 or int(length) > LARGEST_BODY:
+            raise _RequestError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"more than {LARGEST_BODY} bytes")
+        try:
+            sent = json.loads(self.rfile.read(int(length)), parse_constant=_no_constant)
+        except (ValueError, RecursionError) as error:
+            raise _RequestError(HTTPStatus.BAD_REQUEST, f"not JSON: {error}") from error
+        if not isinstance(sent, dict):
+            raise _RequestError(HTTPStatus.BAD_REQUEST, "expected a JSON object")
+        return sent
+
+    def _reply(self) -> None:
+        try:
+            answer = self._make_answer(self)
+        except _RequestError as error:
+            answer = _json({"error": str(error)}, error.status)
+        except ConflictError as error:
+            answer = _json({"error": str(error)}, HTTPStatus.CONFLICT)
+        except OSError as error:  # OutputError too: nothing is wrong with the request
+            answer = _json({"error": str(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
+        except EpipriorError as error:
+            answer = _json({"error": str(error)}, HTTPStatus.UNPROCESSABLE_ENTITY)
+        self.send_response(answer.status)
+        for name, value in _HEADERS.items():
+            self.send_header(name, value)
+        self.send_header("Content-Type", answer.content_type)
+        self.send_header("Content-Length", str(len(answer.body)))
+        self.end_headers()
+        self.wfile.write(answer.body)
+        if answer.last:
+            self.server.shutdown()
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number")

@@ -1,0 +1,298 @@
+"""One pair of images, its file of control points, and what may be written into it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from epiprior.errors import EpipriorError, ImageError, OutputError
+from epiprior.io.output import check_output, replacing
+from epiprior.types import FloatArray
+from epiprior_lab.labels.by_hand.fit import MIN_JUDGED, fit_pairs
+from epiprior_lab.pairsets import DatasetError, write_control_points
+from epiprior_lab.pairsets.files import PAIR_COLUMNS, read_control_points, read_table
+
+MOST_PAIRS = 5_000
+_CLICK_PER_SIDE = 1e-3  # a hand is right within a pixel of a photograph of 1,000
+
+
+class LabelError(EpipriorError, ValueError):
+    """Points cannot be taken, or a file is not this pair's; the message names the culprit."""
+
+
+class ConflictError(LabelError):
+    """The file was changed by somebody else since it was read."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LabelImage:
+    """An image as OpenCV sees it, turned as its EXIF data say.
+
+    Parameters
+    ----------
+    path : Path
+        Where it came from.
+    width, height : int
+        Pixels.
+    png : bytes
+        The decoded pixels: whatever the format, the page shows what features are found on.
+    sha256 : str
+        Of the file.
+    """
+
+    path: Path
+    width: int
+    height: int
+    png: bytes
+    sha256: str
+
+    @classmethod
+    def read(cls, path: Path) -> LabelImage:
+        """Return the image of a file.
+
+        Raises
+        ------
+        ImageError
+            If the file is missing, cannot be read, or is no image.
+        """
+        if not path.is_file():
+            raise ImageError(f"{path}: no such image file")
+        try:
+            data = path.read_bytes()
+            pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR) if data else None
+        except OSError as error:
+            raise ImageError(f"{path}: cannot be read: {error.strerror}") from error
+        except cv2.error:
+            pixels = None
+        if pixels is None:
+            raise ImageError(f"{path}: not an image that OpenCV can read")
+        _, png = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        height, width = pixels.shape[:2]
+        return cls(path=path, width=width, height=height, png=png.tobytes(), sha256=hashlib.sha256(data).hexdigest())
+
+    def described(self) -> dict[str, Any]:
+        """Return name, size and hash, as the record beside the points holds them."""
+        return {"name": self.path.name, "width": self.width, "height": self.height, "sha256": self.sha256}
+
+
+class LabelSession:
+    """Two images and the control points that are clicked in them.
+
+    Beside ``points.csv`` lies its record, ``points.pair.json``: the names, sizes and hashes of the two images that
+    the points belong to. A control-point file itself does not say so.
+
+    Parameters
+    ----------
+    image1, image2 : Path
+        The images.
+    out : Path
+        The control-point file; it is continued where it exists. Its folder exists.
+    force : bool
+        Whether to start anew over a file that belongs to another pair, or that is damaged.
+
+    Raises
+    ------
+    ImageError
+        If an image is missing or none, or both are the same.
+    OutputError
+        If `out` can never be written.
+    LabelError
+        If `out` belongs to another pair and `force` is not set.
+    DatasetError
+        If `out` is damaged and `force` is not set.
+    """
+
+    def __init__(self, image1: Path, image2: Path, out: Path, *, force: bool = False) -> None:
+        self.images = (LabelImage.read(image1), LabelImage.read(image2))
+        if self.images[0].sha256 == self.images[1].sha256:
+            raise ImageError(f"{image2}: the same image as {image1}; a pair has two views")
+        self.out = out
+        self._target = out.resolve()  # through a link: its end is replaced, not the link
+        check_output(self._target, (".csv",))
+        writable = self._target if self._target.exists() else self._target.parent
+        if not os.access(writable, os.W_OK) or not os.access(self._target.parent, os.W_OK):
+            raise OutputError(f"{out}: no permission to write it")
+        self._lock = threading.Lock()
+        self._anew = False
+        try:
+            self._check_owner()
+            self._read()
+        except (LabelError, DatasetError):
+            if not force:
+                raise
+            self._anew = True
+
+    @property
+    def click_px(self) -> float:
+        """How precisely a hand clicks in images of this size, pixels."""
+        return max(1.0, _CLICK_PER_SIDE * max(max(image.width, image.height) for image in self.images))
+
+    def count(self) -> int | None:
+        """Return how many points this session's file holds; None where nothing was saved."""
+        if self._anew or not self._target.exists():
+            return None
+        return len(self._read())
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the page needs: images, file, its points and revision.
+
+        Raises
+        ------
+        DatasetError, LabelError
+            If the file was damaged, or exchanged for another pair's, since.
+        """
+        with self._lock:
+            return {
+                "images": [
+                    {"name": image.path.name, "width": image.width, "height": image.height} for image in self.images
+                ],
+                "file": self.out.name,
+                "points": [] if self._anew else self._read().tolist(),
+                "revision": self._revision(),
+                "judged_from": MIN_JUDGED,
+            }
+
+    def fit(self, points: Any) -> dict[str, Any]:
+        """Return what `fit_pairs` finds on points as the page sends them, ready for JSON.
+
+        Raises
+        ------
+        LabelError
+            If the points are not such.
+        """
+        x = self.checked(points)
+        found = fit_pairs(x[:, :2], x[:, 2:], click_px=self.click_px)
+        if found is None:
+            return {"F": None}
+        residuals = np.where(np.isfinite(found.residuals), found.residuals, 1e6)  # JSON knows no infinity
+        return {
+            "F": found.F.tolist(),
+            "residuals": residuals.tolist(),
+            "far_off": found.far_off.tolist(),
+            "one_plane": found.one_plane,
+        }
+
+    def save(self, points: Any, revision: Any) -> str:
+        """Write the points, whole or not at all, and the record beside them; return the file's new revision.
+
+        Parameters
+        ----------
+        points : list of [x1, y1, x2, y2]
+            As the page sends them.
+        revision : str
+            Of the file that these points continue.
+
+        Raises
+        ------
+        LabelError
+            If the points are not such.
+        ConflictError
+            If the file is of another revision by now.
+        OutputError
+            If a file cannot be written.
+        """
+        x = self.checked(points)
+        with self._lock:
+            if revision != self._revision():
+                raise ConflictError(f"{self.out.name} was changed by somebody else since it was read")
+            # Points first: a run that is killed in between leaves a file that no longer fits its record, never a
+            # record that vouches for another pair's points.
+            with replacing(self._target) as partial:
+                write_control_points(partial, np.ascontiguousarray(x[:, :2]), np.ascontiguousarray(x[:, 2:]))
+            self._anew = False
+            record = {f"image{k}": image.described() for k, image in enumerate(self.images, start=1)}
+            with replacing(self._record) as partial:
+                partial.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+            return self._revision()
+
+    def checked(self, points: Any) -> FloatArray:
+        """Return points as the page sends them as an array of shape (N, 4).
+
+        Raises
+        ------
+        LabelError
+            If they are no list of four finite numbers each, too many, or outside their image.
+        """
+        if not isinstance(points, list) or len(points) > MOST_PAIRS:
+            raise LabelError(f"points: expected a list of at most {MOST_PAIRS} pairs")
+        for number, point in enumerate(points, start=1):
+            if not (isinstance(point, list) and len(point) == 4 and all(_is_finite(value) for value in point)):
+                raise LabelError(f"pair {number}: expected four finite numbers x1, y1, x2, y2")
+        x = np.array(points, dtype=np.float64).reshape(-1, 4)
+        self._check_inside(x, "pair")
+        return x
+
+    @property
+    def _record(self) -> Path:
+        return self._target.with_suffix(".pair.json")
+
+    def _revision(self) -> str:
+        return hashlib.sha256(self._target.read_bytes()).hexdigest() if self._target.exists() else ""
+
+    def _read(self) -> FloatArray:
+        """Return the points of the file, shape (N, 4); none where there is no file."""
+        if not self._target.exists():
+            return np.empty((0, 4))
+        x = np.column_stack(read_control_points(self._target))
+        self._check_inside(x, f"{self.out}, point")
+        return x
+
+    def _check_inside(self, x: FloatArray, what: str) -> None:
+        """Raise LabelError where a point lies outside its image: the area of its pixels, centres at whole numbers."""
+        for side, image in enumerate(self.images):
+            own = x[:, 2 * side : 2 * side + 2]
+            outside = (own < -0.5) | (own > np.array([image.width, image.height]) - 0.5)
+            if outside.any():
+                row = int(np.flatnonzero(outside.any(axis=1))[0])
+                raise LabelError(
+                    f"{what} {row + 1}: ({own[row, 0]:g}, {own[row, 1]:g}) lies outside image {side + 1}, "
+                    f"{image.path.name}, {image.width} x {image.height}"
+                )
+
+    def _check_owner(self) -> None:
+        """Raise LabelError where the file, its record or the pair set around it name other images."""
+        hint = "; --force starts it anew"
+        row = _row_of_pair_set(self._target)
+        own = [image.path.resolve() for image in self.images]
+        if row is not None and row != own:
+            raise LabelError(f"{self.out}: pairs.csv has {row[0].name} and {row[1].name} for this name{hint}")
+        if not self._target.exists() or not self._record.exists():
+            return
+        try:
+            record = json.loads(self._record.read_text(encoding="utf-8"))
+            images = [record["image1"], record["image2"]]
+            hashes, names = [image["sha256"] for image in images], [str(image["name"]) for image in images]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise LabelError(f"{self._record}: cannot be read as the record of {self.out.name}{hint}") from error
+        expected = [image.sha256 for image in self.images]
+        if hashes == expected[::-1]:
+            raise LabelError(f"{self.out}: belongs to these images the other way round: {names[0]}, then {names[1]}")
+        if hashes != expected:
+            raise LabelError(f"{self.out}: belongs to another pair, {names[0]} and {names[1]}{hint}")
+
+
+def _row_of_pair_set(out: Path) -> list[Path] | None:
+    """Return the images that a pair set has for the control points `out`; None where `out` is in no pair set."""
+    root = out.parent.parent
+    if out.parent.name != "control_points" or not (root / "pairs.csv").is_file():
+        return None
+    for _, row in read_table(root / "pairs.csv", PAIR_COLUMNS):
+        if row["pair_id"] == out.stem:
+            return [(root / row[name]).resolve() for name in ("image1", "image2")]
+    return None
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # an integer beyond all floats
+        return False

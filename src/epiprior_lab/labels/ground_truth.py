@@ -1,0 +1,261 @@
+"""What is true of a pair: which matches are right, the fundamental matrix, and control points.
+
+Where a pair has depth maps, a match is right when each of its points reprojects onto the other and is
+visible there; where a homography is given, when it takes them to each other. Else only the epipolar line of the
+true F can be checked ("epipolar" labels): 1 to 4 % of random matches satisfy it by chance. The true F is given,
+comes from the cameras, or is fitted to all control points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from epiprior.errors import SettingsError
+from epiprior.geometry import MIN_MATCHES, as_points, eight_point, normalise_fundamental, sampson_distance
+from epiprior.types import BoolArray, Float32Array, FloatArray
+from epiprior_lab.pairsets import Camera, DatasetError, Pair, covisible, depth_at, reproject, transfer
+
+_RIM_REACH_PX = (1.0, 4.0)
+_RIM_BEND = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelSettings:
+    """When a match counts as right.
+
+    Parameters
+    ----------
+    tolerance_px : float
+        Reprojection error that is always allowed, pixels, > 0.
+    tolerance_sigma : float
+        Reprojection error that is allowed as a multiple of the feature's sigma, >= 0: large features are
+        located less well.
+    depth_tolerance : float
+        Relative difference of depth below which a point counts as visible, in (0, 1).
+    epipolar_px : float
+        Sampson distance that is allowed where there is no depth, pixels, > 0.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    tolerance_px: float = 3.0
+    tolerance_sigma: float = 0.5
+    depth_tolerance: float = 0.02
+    epipolar_px: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("tolerance_px", "epipolar_px"):
+            if not getattr(self, name) > 0:
+                raise SettingsError(f"{name} = {getattr(self, name)}, expected a number > 0")
+        if not self.tolerance_sigma >= 0:
+            raise SettingsError(f"tolerance_sigma = {self.tolerance_sigma}, expected a number >= 0")
+        if not 0 < self.depth_tolerance < 1:
+            raise SettingsError(f"depth_tolerance = {self.depth_tolerance}, expected a number in (0, 1)")
+
+
+def label_matches(
+    pair: Pair,
+    x1: FloatArray,
+    x2: FloatArray,
+    scale1: FloatArray,
+    scale2: FloatArray,
+    *,
+    settings: LabelSettings | None = None,
+) -> BoolArray:
+    """Return which matches are right.
+
+    Parameters
+    ----------
+    pair : Pair
+        Its depth maps decide, else its homography, its F or cameras, else its control points.
+    x1, x2 : ndarray, shape (N, 2), float64
+        Matched points, pixels. ``N = 0`` is allowed.
+    scale1, scale2 : ndarray, shape (N,), float64
+        Sigma of the features, pixels.
+    settings : LabelSettings, optional
+        Tolerances.
+
+    Returns
+    -------
+    ndarray, shape (N,), bool
+        With depth: True where both reprojections are within ``max(tolerance_px, tolerance_sigma * sigma)``
+        and the point is visible in both images. With a homography: True where both transfers are within the same
+        distances. Else: True where the Sampson distance to the true F is below `epipolar_px`.
+
+    Raises
+    ------
+    FeatureError
+        If points have a wrong shape.
+    DatasetError
+        If the pair's files are damaged, or nothing decides (see `reference_fundamental`).
+
+    Notes
+    -----
+    A feature at the rim of an object may lie on the background, beside what it describes. So where there is a
+    rim within half a sigma (1 to 4 px), the depth on its other side may confirm the match as well. Points at
+    infinity (sky) are never right.
+    """
+    settings = settings or LabelSettings()
+    x1, x2 = as_points("x1", x1), as_points("x2", x2)
+    H = pair.homography()
+    if H is not None:
+        return _near(H, x1, x2, scale2, settings) & _near(np.asarray(np.linalg.inv(H)), x2, x1, scale1, settings)
+    if pair.truth == "epipolar":
+        return sampson_distance(reference_fundamental(pair), x1, x2) < settings.epipolar_px
+    cameras, depths = pair.depth_views()
+    forward = _confirmed(cameras, depths, (x1, x2), (scale1, scale2), settings)
+    backward = _confirmed(cameras[::-1], depths[::-1], (x2, x1), (scale2, scale1), settings)
+    return forward & backward
+
+
+def _near(H: FloatArray, x: FloatArray, wanted: FloatArray, scale: FloatArray, settings: LabelSettings) -> BoolArray:
+    """Return where `H` takes a point close enough to where it should."""
+    tolerance = np.maximum(settings.tolerance_px, settings.tolerance_sigma * scale)
+    return np.asarray(np.linalg.norm(transfer(H, x) - wanted, axis=1) < tolerance)
+
+
+def _confirmed(
+    cameras: tuple[Camera, Camera],
+    depths: tuple[Float32Array, Float32Array],
+    x: tuple[FloatArray, FloatArray],
+    scales: tuple[FloatArray, FloatArray],
+    settings: LabelSettings,
+) -> BoolArray:
+    """Return where a depth of the first image near ``x[0]`` leads to ``x[1]``, at a depth seen there."""
+    tolerance = np.maximum(settings.tolerance_px, settings.tolerance_sigma * scales[1])
+    beside = _depths_at_rims(depths[1], x[1], scales[1])
+    confirmed = np.zeros(len(x[0]), dtype=bool)
+    for depth in (depth_at(depths[0], x[0]), *_depths_at_rims(depths[0], x[0], scales[0])):
+        known = np.isfinite(depth)
+        landed, depth2 = reproject(*cameras, x[0], np.where(known, depth, 1.0))
+        near = known & (depth2 > 0) & (np.linalg.norm(landed - x[1], axis=1) < tolerance)
+        visible = np.zeros_like(near)
+        for other in (depth_at(depths[1], landed), *beside):
+            visible |= np.abs(other - depth2) < settings.depth_tolerance * np.abs(depth2)
+        confirmed |= near & visible
+    return confirmed
+
+
+def _depths_at_rims(depth: Float32Array, x: FloatArray, scale: FloatArray) -> list[FloatArray]:
+    """Return the depths to the right, left, below and above of points, each (N,); inf where no rim is between.
+
+    Inverse depth is linear on a plane, so that a bend of it tells a rim from a slanted surface.
+    """
+    middle = 1.0 / depth_at(depth, x)
+    found = []
+    for axis in np.eye(2):
+        offset = np.clip(0.5 * scale, *_RIM_REACH_PX)[:, None] * axis
+        sides = [depth_at(depth, x + offset), depth_at(depth, x - offset)]
+        second, first = 1.0 / sides[0], 1.0 / sides[1]
+        bend = np.abs(first + second - 2 * middle) > _RIM_BEND * np.maximum.reduce([first, second, middle])
+        found += [np.where(bend, side, np.inf) for side in sides]
+    return found
+
+
+def reference_fundamental(pair: Pair) -> FloatArray:
+    """Return the true F of a pair: as given, from its cameras, else fitted to all its control points.
+
+    Raises
+    ------
+    DatasetError
+        If the cameras share their centre, a homography is the ground truth, or there are fewer than eight control
+        points or they decide nothing.
+
+    Notes
+    -----
+    The fit is the normalised eight-point algorithm, refined to the least Sampson distances (robustly, 1 px). On a
+    pair whose control points lie on one plane it is one of many F that explain them.
+
+    References
+    ----------
+    Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 11.4.3.
+    """
+    F = pair.fundamental()
+    if F is None and pair.camera1 is None and pair.homography_path is None:
+        x1, x2 = pair.control_points()
+        F = fit_to_points(x1, x2)
+    if F is None:
+        raise DatasetError(f"pair {pair.pair_id!r}: cameras or control points decide no fundamental matrix")
+    return F
+
+
+def fit_to_points(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
+    """Return the F of smallest Sampson distances, from the eight-point estimate on; single bad points count less.
+
+    Parameters
+    ----------
+    x1, x2 : ndarray, shape (N, 2), float64
+        Control points, pixels.
+
+    Returns
+    -------
+    ndarray, shape (3, 3), or None
+        Normalised as by `normalise_fundamental`; None for fewer than eight points or where they decide nothing.
+    """
+    F = eight_point(x1, x2) if len(x1) >= MIN_MATCHES else None
+    if F is None:
+        return None
+    # Both images about their middle and on one scale, so that all parameters matter alike.
+    scale = max(float(x1.std()), float(x2.std()), 1e-9)
+    middle1, middle2 = x1.mean(axis=0), x2.mean(axis=0)
+    T1, T2 = (np.array([[scale, 0, m[0]], [0, scale, m[1]], [0, 0, 1.0]]) for m in (middle1, middle2))
+    n1, n2 = (x1 - middle1) / scale, (x2 - middle2) / scale
+    U, s, Vt = np.linalg.svd(T2.T @ F @ T1)
+
+    def at(parameters: FloatArray) -> FloatArray:
+        turned = (Rotation.from_rotvec(parameters[k : k + 3]).as_matrix() for k in (0, 3))
+        return np.asarray(U @ next(turned) @ np.diag([1.0, parameters[6], 0.0]) @ next(turned) @ Vt)
+
+    start = np.append(np.zeros(6), s[1] / s[0])
+    found = least_squares(
+        lambda parameters: sampson_distance(at(parameters), n1, n2), start, loss="soft_l1", f_scale=1.0 / scale
+    )
+    return normalise_fundamental(np.linalg.inv(T2).T @ at(found.x) @ np.linalg.inv(T1))
+
+
+def errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
+    """Return the Sampson distance of each control point, shape (N,), pixels; the paper's error is its mean."""
+    return sampson_distance(F, x1, x2)
+
+
+def control_points_from_depth(
+    cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array], *, count: int, seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return matched points spread evenly over all that both images see.
+
+    Parameters
+    ----------
+    cameras, depths : tuples
+        Of both images.
+    count : int
+        How many points, >= 1; fewer come back where fewer pixels are common.
+    seed : int
+        Of the random choice within grid cells.
+
+    Returns
+    -------
+    x1, x2 : ndarray, shape (N, 2), float64
+        Points at pixel centres of image 1, and exactly where depth puts them in image 2.
+    """
+    x1, x2, visible = covisible(cameras, depths)
+    x1, x2 = x1[visible], x2[visible]
+    if not len(x1):
+        return x1, x2
+    order = np.random.default_rng(seed).permutation(len(x1))
+    # Square cells of such a size that about `count` of them cover the overlap; one point of each, then a second round.
+    side = max(1.0, np.sqrt(len(x1) / count))
+    cells = (x1[order] // side).astype(np.int64)
+    _, cell = np.unique(cells[:, 1] * 1_000_000 + cells[:, 0], return_inverse=True)
+    by_cell = np.argsort(cell, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(cell[by_cell]) > 0])
+    rank_in_cell = np.empty(len(cell), dtype=np.int64)
+    rank_in_cell[by_cell] = np.arange(len(cell)) - np.repeat(starts, np.diff(np.r_[starts, len(cell)]))
+    chosen = np.sort(order[np.lexsort((np.arange(len(cell)), rank_in_cell))[:count]])
+    return x1[chosen], x2[chosen]

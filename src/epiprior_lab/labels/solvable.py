@@ -1,0 +1,32 @@
+"""Whether a rendered pair can be solved at all: how many right matches its putative matches X hold, by its depths."""
+
+from __future__ import annotations
+
+from epiprior.matching.pair import prepare_pair, roll_hypotheses
+from epiprior.presets import DEFAULT
+from epiprior.ranking.hypothesis import find_candidates
+from epiprior_lab.labels.ground_truth import LabelSettings, label_matches
+from epiprior_lab.pairsets import Pair
+
+
+def right_among_putative(pair: Pair, labels: LabelSettings) -> int:
+    """Return the number of right matches among X (paper, section 4.3), under the roll hypothesis that has most.
+
+    No model and no estimator has a say in it.
+
+    Parameters
+    ----------
+    pair : Pair
+        With ground truth that labels matches.
+    labels : LabelSettings
+        When a match counts as right.
+    """
+    prepared = prepare_pair(pair.image1, pair.image2, DEFAULT)
+    (f1, f2), (place1, place2) = prepared.features, prepared.locations
+    most = 0
+    for roll_deg in roll_hypotheses(prepared, DEFAULT):
+        X = find_candidates(prepared, roll_deg, DEFAULT).X
+        rows1, rows2 = place1.first[X.feature1], place2.first[X.feature2]
+        right = label_matches(pair, f1.xy[rows1], f2.xy[rows2], f1.scale[rows1], f2.scale[rows2], settings=labels)
+        most = max(most, int(right.sum()))
+    return most

@@ -1,0 +1,209 @@
+"""Pairs out of structure from motion: which two photographs, and what they have in common.
+
+COLMAP puts the centre of the top-left pixel at (0.5, 0.5), and a world-to-camera pose as here. That half pixel is
+taken off here.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epiprior.errors import SettingsError
+from epiprior.types import FloatArray, IntArray
+from epiprior_lab.pairsets import Camera, DatasetError
+from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, Pixels, read_pixels
+
+HALF_PIXEL = 0.5
+_MIN_VIEWS = 3
+_MOST_ERROR_PX = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairChoice:
+    """Which pairs of photographs are taken, and how many control points each gets.
+
+    Parameters
+    ----------
+    min_angle_deg, max_angle_deg : float
+        Range of the median angle between the rays to common points, degrees, in [0, 180].
+    min_shared : int
+        Common points that a pair has at least, >= 8.
+    min_overlap : float
+        Common points divided by the points of the photograph that has fewer, in [0, 1].
+    max_pairs : int
+        Most pairs of a scene, >= 1; where there are more, they are taken evenly over the angles.
+    max_points : int
+        Most control points of a pair, >= 8.
+
+    Raises
+    ------
+    SettingsError
+        If a value is out of its range.
+    """
+
+    min_angle_deg: float = 10.0
+    max_angle_deg: float = 70.0
+    min_shared: int = 12
+    min_overlap: float = 0.0
+    max_pairs: int = 60
+    max_points: int = 200
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_angle_deg < self.max_angle_deg <= 180:
+            raise SettingsError(
+                f"min_angle_deg = {self.min_angle_deg}, max_angle_deg = {self.max_angle_deg}, expected 0 <= min < max "
+                "<= 180"
+            )
+        if not 0 <= self.min_overlap <= 1:
+            raise SettingsError(f"min_overlap = {self.min_overlap}, expected a number in [0, 1]")
+        for name, least in (("min_shared", 8), ("max_pairs", 1), ("max_points", 8)):
+            if getattr(self, name) < least:
+                raise SettingsError(f"{name} = {getattr(self, name)}, expected {least} or more")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """A photograph with its camera and the points it sees, by increasing id."""
+
+    photograph: Photograph
+    camera: Camera
+    point_ids: IntArray
+    points: FloatArray
+
+
+def views_of(reconstruction: Any, images: Path, *, prefix: str = "") -> list[View]:
+    """Return the registered photographs of a pycolmap reconstruction, undistorted, by name.
+
+    Parameters
+    ----------
+    reconstruction : pycolmap.Reconstruction
+        Points count that at least three photographs see with a mean reprojection error up to 2 px.
+    images : Path
+        Folder of the photographs, to which names are relative.
+    prefix : str
+        Leads the names of photographs in the new set.
+
+    Raises
+    ------
+    DatasetError
+        If a photograph is missing, has another size than its camera, or its camera has no undistorted form.
+    """
+    trusted = {
+        point_id: point.xyz
+        for point_id, point in reconstruction.points3D.items()
+        if len({element.image_id for element in point.track.elements}) >= _MIN_VIEWS and point.error <= _MOST_ERROR_PX
+    }
+    views = []
+    for image in sorted(reconstruction.images.values(), key=lambda image: str(image.name)):
+        if not image.has_pose:
+            continue
+        path = images / image.name
+        if not path.is_file():
+            raise DatasetError(f"no image {path}, which the model names")
+        seen = sorted({point.point3D_id for point in image.points2D if point.has_point3D()} & trusted.keys())
+        camera, develop = _undistorted(image, path)
+        name = prefix + "_".join(Path(image.name).with_suffix("").parts)
+        views.append(
+            View(
+                photograph=Photograph(name=name, path=path, camera=camera, develop=develop),
+                camera=camera,
+                point_ids=np.array(seen, dtype=np.int64),
+                points=np.array([trusted[point_id] for point_id in seen]).reshape(-1, 3),
+            )
+        )
+    return views
+
+
+def _undistorted(image: Any, path: Path) -> tuple[Camera, partial[Pixels]]:
+    """Return the camera of an image without distortion, and what makes its pixels."""
+    import pycolmap
+
+    given = copy.deepcopy(image.camera)  # it would die with its reconstruction
+    if given.is_perspective_pinhole() and given.is_undistorted():
+        plain = given
+    else:
+        try:
+            plain = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), given)
+        except (ValueError, RuntimeError) as error:
+            raise DatasetError(f"{path}: its camera {given.model_name} cannot be undistorted: {error}") from error
+    pose = image.cam_from_world().matrix()
+    K = np.array(plain.calibration_matrix(), dtype=np.float64)
+    K[:2, 2] -= HALF_PIXEL
+    camera = Camera(K=K, R=pose[:, :3], t=pose[:, 3], width=plain.width, height=plain.height)
+    return camera, partial(_develop, path, given, plain is not given)
+
+
+def _develop(path: Path, camera: Any, distorted: bool) -> Pixels:
+    """Return the pixels of a photograph without distortion; EXIF rotation is ignored, as COLMAP does."""
+    import pycolmap
+
+    pixels = read_pixels(path, turn=False)
+    height, width = pixels.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        raise DatasetError(f"{path}: is {width} x {height}, its camera in the model {camera.width} x {camera.height}")
+    if not distorted:
+        return pixels
+    bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(pixels[:, :, ::-1]))
+    plain, _ = pycolmap.undistort_image(pycolmap.UndistortCameraOptions(), bitmap, camera)
+    return np.ascontiguousarray(plain.to_array()[:, :, ::-1])
+
+
+def choose_pairs(views: list[View], scene: str, choice: PairChoice) -> list[FoundPair]:
+    """Return the pairs of a scene that `choice` asks for, in the order of names.
+
+    Control points are common points as both cameras see them, taken evenly over their ids.
+    """
+    found = []
+    for view1, view2 in combinations(views, 2):
+        shared, at1, _ = np.intersect1d(view1.point_ids, view2.point_ids, return_indices=True)
+        fewest = min(len(view1.point_ids), len(view2.point_ids))
+        if len(shared) < choice.min_shared or len(shared) < choice.min_overlap * fewest:
+            continue
+        angle = _angle_deg(view1.camera, view2.camera, view1.points[at1])
+        points = _control_points(view1, view2, view1.points[at1], choice.max_points)
+        if choice.min_angle_deg <= angle <= choice.max_angle_deg and len(points[0]) >= choice.min_shared:
+            text = f"angle={angle:.1f}deg;covis_points={len(shared)};overlap={len(shared) / fewest:.2f}"
+            found.append((angle, _pair(view1, view2, scene, text, points)))
+    if len(found) > choice.max_pairs:
+        by_angle = np.argsort([angle for angle, _ in found], kind="stable")
+        kept = by_angle[np.linspace(0, len(found) - 1, choice.max_pairs).round().astype(int)]
+        found = [found[index] for index in sorted(kept)]
+    return [pair for _, pair in found]
+
+
+def _pair(view1: View, view2: View, scene: str, difficulty: str, points: tuple[FloatArray, FloatArray]) -> FoundPair:
+    return FoundPair(
+        pair_id=f"{view1.photograph.name}_{view2.photograph.name}",
+        scene=scene,
+        image1=view1.photograph,
+        image2=view2.photograph,
+        difficulty=difficulty,
+        points=points,
+    )
+
+
+def _angle_deg(camera1: Camera, camera2: Camera, points: FloatArray) -> float:
+    """Return the median angle between the rays to points, degrees."""
+    rays = [points - camera.centre for camera in (camera1, camera2)]
+    lengths = np.linalg.norm(rays[0], axis=1) * np.linalg.norm(rays[1], axis=1)
+    cosine = (rays[0] * rays[1]).sum(axis=1) / lengths
+    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+
+
+def _control_points(view1: View, view2: View, points: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+    """Return where both cameras see the points that lie in both images, at most so many."""
+    x1, _ = view1.camera.project(points)
+    x2, _ = view2.camera.project(points)
+    inside = np.ones(len(points), dtype=bool)
+    for x, camera in ((x1, view1.camera), (x2, view2.camera)):
+        inside &= ((x >= 0) & (x <= np.array([camera.width - 1.0, camera.height - 1.0]))).all(axis=1)
+    kept = np.flatnonzero(inside)
+    kept = kept[np.linspace(0, len(kept) - 1, min(most, len(kept))).round().astype(int)]
+    return x1[kept], x2[kept]

@@ -1,0 +1,154 @@
+"""One pair of a set: two images, and what is true of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from epiprior.geometry import normalise_fundamental
+from epiprior.types import Float32Array, FloatArray
+from epiprior_lab.pairsets.cameras import Camera, fundamental_from_cameras
+from epiprior_lab.pairsets.files import DatasetError, read_control_points, read_depth, read_matrix
+from epiprior_lab.pairsets.homographies import normalise_homography
+from epiprior_lab.pairsets.images import image_size
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pair:
+    """Two images of one scene and their ground truth.
+
+    Parameters
+    ----------
+    pair_id : str
+        Unique within the set.
+    scene : str
+        What splits must not cross.
+    image1, image2 : Path
+        Image files; they exist.
+    camera1, camera2 : Camera or None
+        None where the ground truth is another.
+    difficulty : str
+        For a reader, for example ``angle=21.5deg;overlap=0.79``.
+    control_points_path : Path or None
+        Table of control points; None where the set has none.
+    depth_paths : tuple of Path or None
+        Depth maps of both images; None where the set has none.
+    homography_path, fundamental_path : Path or None
+        Text file of a 3 x 3 matrix, where that is the ground truth.
+    """
+
+    pair_id: str
+    scene: str
+    image1: Path
+    image2: Path
+    camera1: Camera | None
+    camera2: Camera | None
+    difficulty: str
+    control_points_path: Path | None = None
+    depth_paths: tuple[Path, Path] | None = None
+    homography_path: Path | None = None
+    fundamental_path: Path | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files of the pair that exist: images, control points, matrices, depth maps."""
+        single = (self.control_points_path, self.homography_path, self.fundamental_path)
+        return (self.image1, self.image2, *(path for path in single if path), *(self.depth_paths or ()))
+
+    @property
+    def truth(self) -> str:
+        """What decides whether a match is right.
+
+        ``3D``: depth maps say where a point is; ``plane``: a homography does; ``epipolar``: only the line is known on
+        which it must lie, and 1 to 4 % of random matches satisfy that by chance.
+        """
+        if self.depth_paths is not None and self.camera1 is not None:
+            return "3D"
+        return "epipolar" if self.homography_path is None else "plane"
+
+    def sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Return (width, height) of both images, from their cameras or headers.
+
+        Raises
+        ------
+        DatasetError
+            If a file is no image.
+        """
+        if self.camera1 is not None and self.camera2 is not None:
+            return (self.camera1.width, self.camera1.height), (self.camera2.width, self.camera2.height)
+        return image_size(self.image1), image_size(self.image2)
+
+    def control_points(self) -> tuple[FloatArray, FloatArray]:
+        """Return the control points, two arrays of shape (N, 2), pixels.
+
+        Raises
+        ------
+        DatasetError
+            If the pair has none, or the file is damaged.
+        """
+        if self.control_points_path is None:
+            raise DatasetError(f"pair {self.pair_id!r} of {self.image1.parent.parent} has no control points")
+        return read_control_points(self.control_points_path)
+
+    def fundamental(self) -> FloatArray | None:
+        """Return F with ``x2' F x1 = 0`` that is given, or from the cameras; None without either or with one centre.
+
+        Raises
+        ------
+        DatasetError
+            If the file of a given F is damaged.
+        """
+        if self.fundamental_path is not None:
+            F = normalise_fundamental(read_matrix(self.fundamental_path))
+            if F is None:
+                raise DatasetError(f"{self.fundamental_path}: the matrix has a rank below 2")
+            return F
+        if self.camera1 is None or self.camera2 is None:
+            return None
+        return fundamental_from_cameras(self.camera1, self.camera2)
+
+    def homography(self) -> FloatArray | None:
+        """Return H with ``x2 ~ H x1``, of Frobenius norm 1; None where that is not the ground truth.
+
+        Raises
+        ------
+        DatasetError
+            If the file is damaged or the matrix singular.
+        """
+        if self.homography_path is None:
+            return None
+        H = normalise_homography(read_matrix(self.homography_path))
+        if H is None:
+            raise DatasetError(f"{self.homography_path}: the matrix is singular")
+        return H
+
+    def depths(self) -> tuple[Float32Array, Float32Array] | None:
+        """Return both depth maps, (height, width), inf where nothing is; None where the set has none.
+
+        Raises
+        ------
+        DatasetError
+            If a file is damaged or its size is not the camera's.
+        """
+        if self.depth_paths is None:
+            return None
+        depths = []
+        for path, camera in zip(self.depth_paths, (self.camera1, self.camera2), strict=True):
+            depth = read_depth(path)
+            if camera is not None and depth.shape != (camera.height, camera.width):
+                raise DatasetError(f"{path}: depth has shape {depth.shape}, camera {camera.height, camera.width}")
+            depths.append(depth)
+        return depths[0], depths[1]
+
+    def depth_views(self) -> tuple[tuple[Camera, Camera], tuple[Float32Array, Float32Array]]:
+        """Return both cameras and both depth maps.
+
+        Raises
+        ------
+        DatasetError
+            If the pair has no depth maps or no cameras, or a file is damaged.
+        """
+        depths = self.depths()
+        if depths is None or self.camera1 is None or self.camera2 is None:
+            raise DatasetError(f"pair {self.pair_id!r} of {self.image1.parent.parent} has no depth maps with cameras")
+        return (self.camera1, self.camera2), depths

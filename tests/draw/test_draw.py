@@ -1,0 +1,196 @@
+"""The figure: its size, what is drawn where, in which colours; and what it refuses."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from epiprior import FundamentalEstimate, ImageError, OutputError, SettingsError, Status
+from epiprior.draw.captions import draw_header, probability_colours
+from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
+from pictures import save, texture
+from synthetic import make_matches, make_pair
+
+BLACK = np.zeros((768, 1024), np.uint8)
+
+
+def estimate_of(pair, status=Status.OK, message=""):
+    ok = status is Status.OK
+    inliers = pair.right if ok else np.zeros(len(pair.right), bool)
+    return FundamentalEstimate(
+        status=status,
+        F=pair.F if ok else None,
+        x1=pair.matches.x1,
+        x2=pair.matches.x2,
+        inliers=inliers,
+        support=int(inliers.sum()),
+        estimator="usac",
+        version="opencv 5",
+        message=message,
+    )
+
+
+def coloured(picture):
+    """Where a picture is neither grey nor near to it."""
+    return np.ptp(picture.astype(int), axis=2) > 40
+
+
+def test_epipolar_row_only_with_a_matrix():
+    pair = make_pair(seed=1)
+    with_lines = draw_matches(BLACK, BLACK, pair.matches, estimate_of(pair))
+    without = draw_matches(BLACK, BLACK, pair.matches, estimate_of(pair, Status.NO_MODEL, "nothing fits"))
+    plain = draw_matches(BLACK, BLACK, pair.matches)
+    assert with_lines.dtype == np.uint8
+    assert with_lines.shape[1:] == (2 * 1024 + 8, 3)
+    assert with_lines.shape[0] > without.shape[0] + 768
+    assert without.shape == plain.shape
+
+
+def test_a_match_is_drawn_at_its_place_in_the_colour_of_its_probability():
+    x1, x2 = np.array([[100.0, 200.0]]), np.array([[700.0, 600.0]])
+    for probability in (0.1, 0.9):
+        picture = draw_matches(BLACK, BLACK, make_matches(x1, x2, np.array([probability])))
+        top = picture.shape[0] - 768
+        expected = np.array(probability_colours(np.array([probability]))[0])
+        for x, y in ((100, 200), (1024 + 8 + 700, 600)):
+            np.testing.assert_allclose(picture[top + y, x], expected, atol=2)
+        assert not coloured(picture[top:])[250:550, :90].any()
+
+
+def test_best_matches_only_and_one_per_feature():
+    rng = np.random.default_rng(0)
+    x1, x2 = rng.uniform(20, 700, (2, 60, 2))
+    matches = make_matches(x1, x2, np.linspace(1, 0.2, 60), feature1=np.arange(60) // 2)
+    few = draw_matches(BLACK, BLACK, matches, settings=DrawSettings(max_matches=1))
+    many = draw_matches(BLACK, BLACK, matches, settings=DrawSettings(max_matches=60))
+    only = draw_matches(BLACK, BLACK, matches.take(slice(0, 60, 2)), settings=DrawSettings(max_matches=60))
+    body = slice(many.shape[0] - 768, None)
+    assert coloured(many[body]).sum() > 5 * coloured(few[body]).sum()
+    np.testing.assert_array_equal(many[body], only[body])
+
+
+def test_epipolar_lines_pass_through_their_points():
+    pair = make_pair(noise_px=0.0, outliers=0, seed=3)
+    picture = draw_matches(BLACK, BLACK, pair.matches, estimate_of(pair), settings=DrawSettings(epipolar_lines=1))
+    row = picture[-768:]
+    x1, x2 = pair.matches.x1[0], pair.matches.x2[0]
+    for left, F, here, there in ((0, pair.F.T, x1, x2), (1032, pair.F, x2, x1)):
+        view = row[:, left : left + 1024]
+        a, b, c = F @ [*there, 1.0]
+        y, x = np.nonzero(coloured(view))
+        distance = np.abs(a * x + b * y + c) / np.hypot(a, b)
+        away = np.hypot(x - here[0], y - here[1]) > 8
+        assert away.sum() > 500
+        assert distance[away].max() < 3
+        assert np.hypot(x - here[0], y - here[1]).min() < 1
+
+
+@pytest.mark.parametrize(
+    ("shape1", "shape2"),
+    [
+        ((10, 10), (768, 1024, 3)),
+        ((3000, 4000), (480, 640)),
+        ((900, 300), (300, 900)),
+        ((8, 2000), (2000, 8)),
+    ],
+)
+def test_any_sizes_fit(shape1, shape2):
+    images = [np.full(shape, 90, np.uint8) for shape in (shape1, shape2)]
+    inside = np.array([[1.0, 1.0], [shape1[1] - 2.0, shape1[0] - 2.0]])
+    other = np.array([[1.0, 1.0], [shape2[1] - 2.0, shape2[0] - 2.0]])
+    picture = draw_matches(*images, make_matches(inside, other, np.array([0.9, 0.8])))
+    assert 900 <= picture.shape[1] <= 2056
+    assert picture.shape[0] <= 1200
+    assert coloured(picture[120:]).any()
+
+
+def test_large_images_are_scaled_with_their_points():
+    large = np.zeros((1536, 2048), np.uint8)
+    small = draw_matches(BLACK, BLACK, make_matches([[100.0, 200.0]], [[300.0, 500.0]], np.array([0.9])))
+    twice = draw_matches(large, large, make_matches([[200.5, 400.5]], [[600.5, 1000.5]], np.array([0.9])))
+    np.testing.assert_array_equal(small, twice)
+
+
+def test_large_images_are_scaled_with_their_lines():
+    pair = make_pair(seed=3)
+    found = estimate_of(pair)
+    D = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+    F = np.linalg.inv(D).T @ pair.F @ np.linalg.inv(D)
+    twice = replace(found, F=F, x1=2 * found.x1 + 0.5, x2=2 * found.x2 + 0.5)
+    large = np.zeros((1536, 2048), np.uint8)
+    none = pair.matches.take(slice(0, 0))
+    small = draw_matches(BLACK, BLACK, none, found).astype(int)
+    # Up to rounding to a sixteenth of a pixel.
+    assert np.abs(small - draw_matches(large, large, none, twice)).max() < 40
+
+
+def test_no_matches_and_points_outside():
+    empty = make_matches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
+    assert not coloured(draw_matches(BLACK, BLACK, empty)[120:]).any()
+    outside = make_matches([[-900.0, 5.0], [5e9, 5.0]], [[10.0, 10.0], [10.0, 10.0]], np.array([0.9, 0.9]))
+    assert not coloured(draw_matches(BLACK, BLACK, outside)[120:]).any()
+
+
+def test_standard_matches_are_coloured_by_distance_ratio():
+    matches = make_matches(np.full((2, 2), 50.0), np.full((2, 2), 50.0))
+    matches = replace(matches, distance_ratio=np.array([0.2, 0.9]))
+    picture = draw_matches(BLACK, BLACK, matches.take(slice(0, 1)))
+    np.testing.assert_allclose(
+        picture[picture.shape[0] - 768 + 50, 50], probability_colours(np.array([0.8]))[0], atol=2
+    )
+
+
+def test_a_file_and_its_array_give_the_same_figure(tmp_path):
+    rgb = np.dstack([texture(200, 150, seed) for seed in range(3)])
+    path = save(tmp_path / "a.png", rgb)
+    matches = make_matches([[20.0, 30.0]], [[50.0, 60.0]], np.array([0.7]))
+    np.testing.assert_array_equal(draw_matches(path, rgb, matches), draw_matches(rgb, str(path), matches))
+
+
+def test_long_messages_stay_left_of_the_colour_scale():
+    pair = make_pair(seed=1)
+    short = draw_header(968, estimate_of(pair, Status.NO_MODEL), 5, "probability")
+    long = draw_header(968, estimate_of(pair, Status.NO_MODEL, "word " * 60), 5, "probability")
+    np.testing.assert_array_equal(short[:, 700:], long[:, 700:])
+    assert (short != long).any()
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (np.zeros((5, 5)), "float64"),
+        (np.zeros((5, 5, 4), np.uint8), r"\(5, 5, 4\)"),
+        (np.zeros((0, 5), np.uint8), r"\(0, 5\)"),
+        (np.zeros(5, np.uint8), r"\(5,\)"),
+        ("nowhere/at_all.jpg", "at_all.jpg"),
+    ],
+)
+def test_unusable_images(image, words):
+    with pytest.raises(ImageError, match=words):
+        draw_matches(BLACK, image, make_matches([[1.0, 1.0]], [[1.0, 1.0]], np.array([0.5])))
+
+
+def test_a_text_file_is_no_image(tmp_path):
+    path = tmp_path / "text.jpg"
+    for content in ("not a picture", ""):
+        path.write_text(content)
+        with pytest.raises(ImageError, match=r"text\.jpg"):
+            draw_matches(path, BLACK, make_matches([[1.0, 1.0]], [[1.0, 1.0]], np.array([0.5])))
+
+
+@pytest.mark.parametrize("wrong", [{"max_matches": 0}, {"epipolar_lines": 9}, {"max_panel_size": 100}])
+def test_settings_out_of_range(wrong):
+    with pytest.raises(SettingsError, match=next(iter(wrong))):
+        DrawSettings(**wrong)
+
+
+def test_written_figure_reads_back(tmp_path):
+    picture = np.dstack([texture(60, 40, seed) for seed in range(3)])
+    write_picture(tmp_path / "a.png", picture)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.png"))[:, :, ::-1], picture)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+    with pytest.raises(OutputError, match=r"a\.tiff"):
+        write_picture(tmp_path / "a.tiff", picture)
+    with pytest.raises(OutputError, match="missing"):
+        write_picture(tmp_path / "missing" / "a.png", picture)

@@ -1,0 +1,293 @@
+"""From ranked matches to an estimate: hypotheses, hand-over, collection, refinement, working pixels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from epiprior.errors import EstimatorError, FeatureError, SettingsError
+from epiprior.estimators import EstimatorSettings, run
+from epiprior.estimators import fit as run_fit
+from epiprior.estimators.handover import HandOver
+from epiprior.estimators.run import estimate_from_matches
+from epiprior.geometry import sampson_distance
+from epiprior.types import MatchSet, Status
+from epiprior.verification.plausibility import camera_plausibility
+from epiprior.verification.spread import spread_of
+from synthetic import SyntheticPair, make_matches, make_pair
+
+PAPER = HandOver(one_to_one=True, top_k=300)
+FULL = HandOver(one_to_one=True, top_k=300, collect=True, refine=True)
+
+
+def hard_pair(seed: int = 0) -> SyntheticPair:
+    return make_pair(inliers=150, outliers=1500, order=3.0, seed=seed)
+
+
+def wrong_set(n: int = 300, seed: int = 9) -> MatchSet:
+    """A set with no right match, and probabilities that say so."""
+    noise = make_pair(inliers=0, outliers=n, seed=seed).matches
+    return replace(noise, probability=np.full(n, 0.01), roll_deg=90.0)
+
+
+def test_one_set_as_handed_over_is_what_the_estimator_says():
+    pair = make_pair()
+    estimate = estimate_from_matches([pair.matches], estimator="usac", seed=3, hand_over=HandOver())
+    plain = run("usac", pair.matches, seed=3)
+    assert plain.F is not None
+    assert np.array_equal(estimate.F, plain.F)
+    assert np.array_equal(estimate.inliers, plain.inliers)
+    assert estimate.support == plain.support
+    assert set(estimate.seconds) == {"estimator", "support"}
+
+
+SIZES = ((1024.0, 768.0), (1024.0, 768.0))
+
+
+def test_plausibility_is_of_the_raw_F_in_pixels_as_given():
+    pair = make_pair()
+    known = replace(pair.matches, image_sizes=SIZES)
+    estimate = estimate_from_matches([known], estimator="usac", hand_over=HandOver())
+    assert estimate.raw_F is not None
+    assert estimate.plausibility == camera_plausibility(estimate.raw_F[None], SIZES)[0] > 0.95
+    assert run("usac", known).plausibility == estimate.plausibility
+    # In images of three and two times the size F is another matrix, but of the same cameras.
+    (w1, h1), (w2, h2) = SIZES
+    large = replace(known, x1=3 * known.x1, x2=2 * known.x2, image_sizes=((3 * w1, 3 * h1), (2 * w2, 2 * h2)))
+    scaled = estimate_from_matches([large], estimator="usac", hand_over=HandOver(), pixel_factors=(3.0, 2.0))
+    assert scaled.raw_F is not None
+    assert scaled.plausibility == camera_plausibility(scaled.raw_F[None], large.image_sizes)[0]
+    assert scaled.plausibility == pytest.approx(estimate.plausibility, abs=0.01)
+
+
+def test_spread_is_counted_at_working_size():
+    pair = make_pair(inliers=150, outliers=100)
+    small = estimate_from_matches([pair.matches], estimator="usac", hand_over=HandOver())
+    assert small.spread == spread_of(small.x1[small.inliers], small.x2[small.inliers]) > 20
+    assert run("usac", pair.matches).spread == small.spread
+    large = replace(pair.matches, x1=3 * pair.matches.x1, x2=2 * pair.matches.x2)
+    scaled = estimate_from_matches([large], estimator="usac", hand_over=HandOver(), pixel_factors=(3.0, 2.0))
+    assert scaled.spread == pytest.approx(small.spread, abs=2)
+    assert scaled.spread < 0.8 * spread_of(scaled.x1[scaled.inliers], scaled.x2[scaled.inliers])
+
+
+def test_without_inliers_nothing_is_covered():
+    plane = make_pair(scene="plane", seed=2).matches
+    assert run("usac", plane).spread == 0
+    assert estimate_from_matches([plane], estimator="usac", hand_over=HandOver()).spread == 0
+
+
+def test_plausibility_is_there_whatever_the_verdict_says():
+    plane = replace(make_pair(scene="plane", seed=2).matches, image_sizes=SIZES)
+    estimates = (
+        run("usac", plane),
+        estimate_from_matches([plane], estimator="usac", hand_over=HandOver()),
+    )
+    for estimate in estimates:
+        assert estimate.F is None
+        assert 0 <= estimate.plausibility <= 1
+
+
+def test_plausibility_is_unknown_without_an_F_or_without_sizes():
+    pair = make_pair()
+    few = replace(pair.matches.take(slice(5)), image_sizes=SIZES)
+    for matches in (pair.matches, few):
+        for estimate in (
+            run("usac", matches),
+            estimate_from_matches([matches], estimator="usac", hand_over=HandOver()),
+        ):
+            assert math.isnan(estimate.plausibility)
+
+
+@pytest.mark.parametrize("how", [PAPER, FULL], ids=["paper", "default"])
+@pytest.mark.parametrize("first", [True, False])
+def test_the_better_supported_roll_hypothesis_wins(how, first):
+    pair = hard_pair()
+    sets = [replace(pair.matches, roll_deg=30.0), wrong_set()]
+    estimate = estimate_from_matches(sets if first else sets[::-1], estimator="usac", hand_over=how)
+    assert estimate.status is Status.OK
+    assert estimate.roll_deg == 30.0
+    assert pair.error_px(estimate.F) < 2.0
+
+
+def test_probable_support_outweighs_numerous_support():
+    """Set one: 60 probable matches of the true F. Set two: 150 improbable ones of another."""
+    true, other = make_pair(inliers=60, outliers=0, seed=1), make_pair(inliers=150, outliers=0, seed=2)
+    good = replace(true.matches, probability=np.full(60, 0.9), roll_deg=10.0)
+    bad = replace(other.matches, x2=other.matches.x2[:, ::-1], probability=np.full(150, 0.05))
+    by_count, by_probability = (
+        estimate_from_matches([good, bad], estimator="usac", hand_over=how) for how in (PAPER, FULL)
+    )
+    assert by_count.roll_deg == 0.0
+    assert by_probability.roll_deg == 10.0
+
+
+def test_support_is_collected_from_all_of_the_ranking():
+    pair = make_pair(inliers=600, outliers=300, order=3.0)
+    how = replace(FULL, top_k=100)
+    narrow = estimate_from_matches([pair.matches], estimator="usac", hand_over=replace(PAPER, top_k=100))
+    wide = estimate_from_matches([pair.matches], estimator="usac", hand_over=how)
+    assert len(narrow.x1) == 100
+    assert wide.support > 500
+    assert np.array_equal(wide.inliers, sampson_distance(wide.F, wide.x1, wide.x2) < 1.5)
+
+
+def test_collected_support_counts_a_feature_once():
+    pair = make_pair(inliers=100, outliers=50)
+    crowd = pair.matches.take(np.repeat(np.arange(150), 3))
+    estimate = estimate_from_matches([crowd], estimator="usac", hand_over=FULL)
+    assert len(estimate.x1) <= 150
+    assert len(np.unique(estimate.x1, axis=0)) == len(estimate.x1)
+
+
+def test_matches_likelier_wrong_than_right_are_not_collected():
+    pair = make_pair(inliers=200, outliers=2000, order=4.0)
+    estimate = estimate_from_matches([pair.matches], estimator="usac", hand_over=FULL)
+    truth = sampson_distance(pair.F, estimate.x1, estimate.x2) < 3.0
+    assert estimate.support > 150
+    assert len(estimate.x1) < 2000
+    assert truth[estimate.inliers].mean() > 0.95
+
+
+def test_refinement_on_probable_matches_helps():
+    errors = []
+    for seed in range(8):
+        pair = make_pair(inliers=300, outliers=600, noise_px=0.8, order=3.0, seed=seed)
+        plain, refined = (
+            estimate_from_matches([pair.matches], estimator="usac", hand_over=how)
+            for how in (replace(FULL, refine=False, top_k=60), replace(FULL, top_k=60))
+        )
+        errors.append((pair.error_px(plain.F), pair.error_px(refined.F)))
+    before, after = np.median(errors, axis=0)
+    assert after < 0.7 * before
+
+
+def test_standard_matches_without_probabilities_can_be_refined_too():
+    pair = make_pair(noise_px=0.8)
+    bare = replace(pair.matches, probability=np.full(len(pair.matches), np.nan))
+    estimate = estimate_from_matches([bare], estimator="usac", hand_over=HandOver(refine=True, collect=True))
+    assert estimate.status is Status.OK
+    assert pair.error_px(estimate.F) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("matches", "status"),
+    [
+        (make_pair(inliers=7, outliers=0).matches, Status.TOO_FEW_MATCHES),
+        (wrong_set(), Status.NO_MODEL),
+        (make_pair(scene="plane", seed=2).matches, Status.DEGENERATE),
+        (make_pair(scene="rotation", seed=2).matches, Status.DEGENERATE),
+    ],
+)
+@pytest.mark.parametrize("how", [PAPER, FULL], ids=["paper", "default"])
+def test_failure_is_a_status(matches, status, how):
+    estimate = estimate_from_matches([matches], estimator="usac", hand_over=how)
+    assert estimate.status is status
+    assert estimate.F is None
+    assert estimate.support == 0
+    assert estimate.message
+    assert not estimate
+
+
+def test_two_empty_sets_are_too_few():
+    empty = make_pair().matches.take(slice(0))
+    estimate = estimate_from_matches([empty, empty], estimator="prosac", hand_over=FULL)
+    assert estimate.status is Status.TOO_FEW_MATCHES
+    assert estimate.iterations is None
+
+
+def test_iterations_add_up_over_hypotheses():
+    pair = make_pair()
+    counts = [estimate_from_matches([pair.matches] * n, estimator="prosac", hand_over=PAPER).iterations for n in (1, 2)]
+    assert counts[1] == 2 * counts[0]
+
+
+def test_a_plane_with_something_before_it_is_ok_and_without_is_not():
+    pair = make_pair(scene="plane+", inliers=400, outliers=100, off_plane=60, seed=2)
+    flat = make_pair(scene="plane", inliers=300, outliers=60, seed=2).matches
+    assert estimate_from_matches([pair.matches], estimator="usac", hand_over=PAPER).status is Status.OK
+    assert estimate_from_matches([flat], estimator="usac", hand_over=PAPER).status is Status.DEGENERATE
+
+
+def test_what_the_verdict_turns_down_is_handed_out_beside():
+    plane, relief = make_pair(scene="plane").matches, make_pair()
+    for estimate in (estimate_from_matches([plane], estimator="usac", hand_over=PAPER), run("usac", plane)):
+        assert estimate.status is Status.DEGENERATE
+        assert estimate.F is None
+        assert estimate.raw_F is not None
+        assert np.linalg.norm(estimate.raw_F) == pytest.approx(1.0)
+        assert np.median(sampson_distance(estimate.raw_F, plane.x1, plane.x2)) < 2.0
+        assert not estimate.inliers.any()
+    found = estimate_from_matches([relief.matches], estimator="usac", hand_over=FULL, pixel_factors=(2.0, 3.0))
+    assert np.array_equal(found.raw_F, found.F)
+    nothing = estimate_from_matches([relief.matches.take(slice(5))], estimator="usac", hand_over=PAPER)
+    assert nothing.raw_F is None
+
+
+def test_same_seed_same_bytes():
+    pair = hard_pair()
+    a, b = (
+        estimate_from_matches([pair.matches, wrong_set()], estimator="magsac++", seed=7, hand_over=FULL)
+        for _ in range(2)
+    )
+    assert a.F is not None
+    assert a.F.tobytes() == b.F.tobytes()
+    assert a.inliers.tobytes() == b.inliers.tobytes()
+
+
+def test_large_images_are_measured_at_working_size():
+    """The same matches at four and two times the size, with thresholds of working pixels: the same answer."""
+    pair = make_pair(noise_px=0.7)
+    m = pair.matches
+    large = replace(m, x1=m.x1 * 4, x2=m.x2 * 2)
+    small = estimate_from_matches([m], estimator="usac", hand_over=FULL)
+    scaled = estimate_from_matches([large], estimator="usac", hand_over=FULL, pixel_factors=(4.0, 2.0))
+    assert np.array_equal(scaled.inliers, small.inliers)
+    assert np.array_equal(scaled.x1, small.x1 * 4)
+    D1, D2 = np.diag([4.0, 4.0, 1.0]), np.diag([2.0, 2.0, 1.0])
+    back = D2 @ scaled.F @ D1
+    assert np.abs(back / np.linalg.norm(back)) == pytest.approx(np.abs(small.F), abs=1e-12)
+    unscaled = estimate_from_matches([large], estimator="usac", hand_over=FULL)
+    assert unscaled.support < small.support
+
+
+def test_rough_matrices_reach_the_estimator_in_working_pixels(monkeypatch):
+    """Half a pair's matches as given, in images of two and four times the working size, with F of given pixels."""
+    pair = make_pair(outliers=0)
+    m = pair.matches
+    given = np.linalg.inv(np.diag([4.0, 4.0, 1.0])).T @ pair.F @ np.linalg.inv(np.diag([2.0, 2.0, 1.0]))
+    large = replace(m, x1=m.x1 * 2, x2=m.x2 * 4, rough_matrices=np.stack([given, 5 * given]))
+    seen = []
+
+    def fit(name, matches, **options):
+        seen.append(matches)
+        return run_fit(name, matches, **options)
+
+    monkeypatch.setattr("epiprior.estimators.run.fit", fit)
+    estimate_from_matches([large], estimator="usac", hand_over=FULL, pixel_factors=(2.0, 4.0))
+    for F in seen[0].rough_matrices:
+        assert sampson_distance(F, seen[0].x1, seen[0].x2) == pytest.approx(
+            sampson_distance(pair.F, seen[0].x1, seen[0].x2), rel=1e-6, abs=1e-9
+        )
+    np.testing.assert_allclose(seen[0].x1.max(axis=0), m.x1.max(axis=0))
+
+
+def test_settings_override_the_threshold_of_the_hand_over():
+    pair = make_pair(noise_px=1.0)
+    settings = EstimatorSettings(threshold_px=0.5)
+    estimate = estimate_from_matches([pair.matches], estimator="usac", hand_over=PAPER, settings=settings)
+    assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.5)
+
+
+def test_bad_input_is_refused():
+    m = make_pair().matches
+    with pytest.raises(SettingsError, match="no set"):
+        estimate_from_matches([], estimator="usac", hand_over=PAPER)
+    with pytest.raises(EstimatorError, match="'usak'"):
+        estimate_from_matches([m], estimator="usak", hand_over=PAPER)
+    bad = make_matches(np.where(np.arange(300)[:, None] == 3, np.nan, m.x1), m.x2)
+    with pytest.raises(FeatureError, match="row 3"):
+        estimate_from_matches([bad], estimator="usac", hand_over=HandOver())

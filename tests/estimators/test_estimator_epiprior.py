@@ -1,0 +1,316 @@
+"""The estimator ``epiprior``: what it uses of the prior, what it mends, what it refuses, and its kernels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from epiprior.estimators import run
+from epiprior.estimators.epiprior_evidence import Evidence, match_weights, spread_evidence
+from epiprior.estimators.epiprior_plane import models_of_plane, plane_and_parallax
+from epiprior.estimators.epiprior_proposals import fit_samples, oriented_pairs, progressive_rows
+from epiprior.geometry import eight_point, normalise_fundamental, sampson_distance
+from epiprior.kernels.epiprior_kernels import climb, fit_weighted, refine_models
+from epiprior.kernels.samplers import generator_state
+from epiprior.types import FloatArray, Status
+from epiprior.verification.plausibility import camera_plausibility
+from naive import sampson
+from synthetic import make_matches, make_pair, project, rotation
+
+
+def same_up_to_sign(a: FloatArray, b: FloatArray, tolerance: float) -> bool:
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    return min(np.abs(a - b).max(), np.abs(a + b).max()) < tolerance
+
+
+def perturbed(F: FloatArray, count: int, size: float, seed: int = 0) -> FloatArray:
+    noise = np.random.default_rng(seed).normal(size=(count, 3, 3))
+    models: FloatArray = F * (1 + size * noise)
+    return models / np.linalg.norm(models, axis=(1, 2), keepdims=True)
+
+
+# The kernels and their naive twins.
+
+
+def naive_score(F, x1, x2, weights, group, threshold):
+    """What the best match of each group says."""
+    said = dict.fromkeys(group, 0.0)
+    for g, a, b, w in zip(group, x1, x2, weights, strict=True):
+        said[g] = max(said[g], w * (1 - (sampson(F, a, b) / threshold) ** 2))
+    return sum(said.values())
+
+
+@pytest.mark.parametrize("size", [1, 3])
+def test_scores_are_those_of_the_naive_twin(size):
+    pair = make_pair(inliers=60, outliers=60)
+    m = pair.matches
+    group = np.random.default_rng(0).permutation(120) // size
+    models = perturbed(pair.F, 150, 0.02)
+    found = Evidence.of(m.x1, m.x2, m.probability, group).scores(models, 3.0)
+    wanted = [naive_score(F, m.x1, m.x2, m.probability, group, 3.0) for F in models[::10]]
+    assert found[::10] == pytest.approx(wanted, abs=0.01, rel=1e-3)
+    assert found.max() > 5
+
+
+def test_nothing_speaks_for_models_that_are_none():
+    m = make_pair(inliers=20, outliers=0).matches
+    evidence = Evidence.of(m.x1, m.x2, m.probability, np.arange(20))
+    assert not evidence.scores(np.stack([np.zeros((3, 3)), np.full((3, 3), np.nan)]), 2.0).any()
+    assert evidence.scores(np.empty((0, 3, 3)), 2.0).shape == (0,)
+
+
+def test_best_matches_that_share_a_point_are_no_error():
+    """Features of several scales at one location: eight of them decide nothing."""
+    pair = make_pair(inliers=60, outliers=0)
+    m = replace(pair.matches, x1=np.vstack([np.repeat(pair.matches.x1[:1], 20, axis=0), pair.matches.x1[20:]]))
+    assert run("epiprior", m).raw_F is not None
+
+
+def test_a_crowd_speaks_once_and_an_implausible_camera_less():
+    pair = make_pair(inliers=50, outliers=0, noise_px=0.0)
+    m = replace(pair.matches, probability=np.full(50, 0.5))
+    crowd = m.take(np.zeros(30, np.int64))
+    crowd = replace(crowd, feature1=np.arange(30), feature2=np.arange(30))
+    assert spread_evidence(pair.F, crowd) == pytest.approx(spread_evidence(pair.F, m.take(slice(1))), rel=1e-4)
+    sizes = ((1024, 768), (1024, 768))
+    stretched = replace(m, image_sizes=((1024, 768), (102400, 76800)))
+    assert spread_evidence(pair.F, m) > spread_evidence(pair.F, stretched)
+    plausible = camera_plausibility(pair.F[None], sizes)[0]
+    assert spread_evidence(pair.F, replace(m, image_sizes=sizes)) == pytest.approx(
+        plausible * spread_evidence(pair.F, m)
+    )
+
+
+def test_weights_grow_with_probability_and_doubt_clusters():
+    m = make_matches(np.zeros((4, 2)), np.zeros((4, 2)), distance_ratio=np.array([0.8, 0.8, 0.8, 1.0]))
+    low, middle, high, cluster = match_weights(m, np.array([0.0, 0.5, 1.0, 0.5]))
+    assert low == 0 < middle < high < np.inf
+    assert cluster == pytest.approx(middle / 2)
+
+
+def test_no_matches_or_no_models_score_nothing():
+    m = make_pair().matches
+    nothing = Evidence.of(m.x1[:0], m.x2[:0], m.probability[:0], m.feature1[:0])
+    assert not nothing.scores(np.ones((2, 3, 3)), 2.0).any()
+    assert Evidence.of(m.x1, m.x2, m.probability, m.feature1).scores(np.empty((0, 3, 3)), 2.0).shape == (0,)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_weighted_fit_is_the_eight_point_algorithm(seed):
+    pair = make_pair(inliers=100, outliers=0, seed=seed)
+    weights = np.random.default_rng(seed).uniform(0, 1, 100)
+    weights[::5] = 0
+    F = np.zeros((3, 3))
+    assert fit_weighted(pair.matches.x1, pair.matches.x2, weights, F)
+    wanted = eight_point(pair.matches.x1, pair.matches.x2, weights)
+    assert wanted is not None
+    assert same_up_to_sign(F, wanted, 1e-9)
+    assert np.linalg.svd(F, compute_uv=False)[2] < 1e-12
+
+
+def test_weighted_fit_refuses_what_decides_nothing():
+    x = np.tile([[3.0, 4.0]], (20, 1))
+    F = np.zeros((3, 3))
+    assert not fit_weighted(x, x, np.ones(20), F)
+    assert not fit_weighted(x[:7], x[:7], np.ones(7), F)
+    assert not F.any()
+
+
+def naive_refinement(F, x1, x2, weights, thresholds):
+    for threshold in thresholds:
+        fit = np.zeros(len(x1))
+        for i, (a, b) in enumerate(zip(x1, x2, strict=True)):
+            l2, l1 = F @ np.append(a, 1), F.T @ np.append(b, 1)
+            rest = max(1 - (sampson(F, a, b) / threshold) ** 2, 0)
+            fit[i] = weights[i] * rest**2 / (l2[0] ** 2 + l2[1] ** 2 + l1[0] ** 2 + l1[1] ** 2)
+        F = eight_point(x1, x2, fit)
+    return F
+
+
+def test_refinement_is_that_of_the_naive_twin():
+    pair = make_pair(inliers=80, outliers=80)
+    m = pair.matches
+    start = perturbed(pair.F, 4, 0.01)
+    thresholds = (8.0, 4.0, 2.0)
+    refined = start.copy()
+    refine_models(refined, m.x1, m.x2, m.probability, np.array(thresholds))
+    for before, after in zip(start, refined, strict=True):
+        assert same_up_to_sign(after, naive_refinement(before, m.x1, m.x2, m.probability, thresholds), 1e-7)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_climbing_returns_the_score_of_what_it_returns_and_never_less(seed):
+    pair = make_pair(inliers=80, outliers=80, seed=seed)
+    m = pair.matches
+    group = np.sort(np.random.default_rng(seed).integers(0, 60, 160))
+    start = perturbed(pair.F, 1, 0.03, seed)[0]
+    thresholds = np.array([3.0, 2.0, 1.5, 1.5])
+    args = (m.x1, m.x2, m.probability, m.probability, group)
+    scores, errors = [], []
+    for samples in (0, 30):
+        F = start.copy()
+        scores.append(climb(F, *args, 2.0, thresholds, 3.0, samples, generator_state(1)))
+        errors.append(pair.error_px(normalise_fundamental(F)))
+        assert scores[-1] == pytest.approx(naive_score(F, m.x1, m.x2, m.probability, group, 2.0), rel=1e-6)
+    assert naive_score(start, m.x1, m.x2, m.probability, group, 2.0) <= scores[0] <= scores[1]
+    assert errors[1] < 0.5 < pair.error_px(normalise_fundamental(start))
+
+
+def test_samples_are_fitted_exactly():
+    pair = make_pair(inliers=40, outliers=0, noise_px=0.0)
+    rows = progressive_rows(40, 20)
+    models = fit_samples(pair.matches.x1, pair.matches.x2, rows)
+    for F, row in zip(models, rows, strict=True):
+        assert sampson_distance(F, pair.matches.x1[row], pair.matches.x2[row]).max() < 1e-6
+
+
+@pytest.mark.parametrize("n", [8, 9, 50, 1000])
+def test_progressive_samples_grow_from_the_head(n):
+    rows = progressive_rows(n, 300)
+    assert all(len(set(row)) == 8 for row in rows)
+    assert rows.min() == 0
+    assert rows.max() < n
+    assert rows[:10].max() < 20
+    if n == 1000:
+        assert rows[-50:].mean() > 300
+
+
+def test_two_oriented_matches_give_f():
+    """Matches whose frames are those of a similarity between the images: all of them fit one F."""
+    rng = np.random.default_rng(0)
+    x1 = rng.uniform(0, [1024, 768], (12, 2))
+    turn, zoom = np.deg2rad(30.0), 1.3
+    R = zoom * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    matches = make_matches(
+        x1, x1 @ R.T + [200.0, -100.0], scale2=np.full(12, 3.0 * zoom), orientation2_deg=np.full(12, 30.0)
+    )
+    models = oriented_pairs(matches, 10, 30.0)
+    assert 0 < len(models) <= 45
+    residuals = np.array([sampson_distance(F, matches.x1, matches.x2)[:2].min() for F in models])
+    assert np.median(residuals) < 1e-3
+
+
+# Plane and parallax.
+
+
+def test_models_of_a_plane_go_through_their_two_matches():
+    rng = np.random.default_rng(1)
+    X = np.column_stack([rng.uniform(-3, 3, 30), rng.uniform(-2, 2, 30), np.full(30, 10.0)])
+    X[:5, 2] -= rng.uniform(1, 3, 5)
+    R = rotation((0.1, 1.0, 0.05), 10.0)
+    t = np.array([-2.0, 0.2, 0.1])
+    x1, x2 = project(X, np.eye(3), np.zeros(3)), project(X, R, t)
+    corners = np.array([[-3, -2, 10], [3, -2, 10], [3, 2, 10], [-3, 2, 10.0]])
+    import cv2
+
+    a, b = project(corners, np.eye(3), np.zeros(3)), project(corners, R, t)
+    H = cv2.getPerspectiveTransform(a.astype(np.float32), b.astype(np.float32)).astype(np.float64)
+    models = models_of_plane(H, x1[:5], x2[:5])
+    assert len(models) == 10
+    for F, (i, j) in zip(models, combinations(range(5), 2), strict=True):
+        assert sampson_distance(F, x1, x2).max() < 0.1, (i, j)
+        assert np.linalg.svd(F, compute_uv=False)[2] < 1e-9
+
+
+def test_parallax_is_not_asked_where_there_is_no_plane():
+    pair = make_pair(inliers=100, outliers=0)
+    m = pair.matches
+    assert not len(plane_and_parallax(pair.F, m.x1, m.x2, threshold_px=1.5, plane_px=4.0, count=20))
+
+
+def test_plane_is_mended_by_parallax():
+    """From an F that has the plane but a wrong epipole to the true one."""
+    pair = make_pair(scene="plane+", inliers=200, outliers=60, off_plane=25, order=4.0, seed=2)
+    m = pair.matches
+    flat = make_pair(scene="plane", inliers=200, outliers=0, seed=2).matches
+    start = models_of_plane(
+        _plane_of(flat), np.array([[5.0, 700.0], [900.0, 20.0]]), np.array([[500.0, 5.0], [90.0, 760.0]])
+    )[0]
+    assert pair.error_px(normalise_fundamental(start)) > 10
+    models = plane_and_parallax(start, m.x1, m.x2, threshold_px=1.5, plane_px=4.0, count=40)
+    assert min(pair.error_px(F) for F in models) < 3
+
+
+def _plane_of(matches):
+    import cv2
+
+    return np.asarray(cv2.findHomography(matches.x1, matches.x2, 0)[0])
+
+
+# The estimator.
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_five_percent_inliers_in_a_good_order(seed):
+    pair = make_pair(inliers=40, outliers=760, order=3.5, seed=seed)
+    assert pair.error_px(run("epiprior", pair.matches).F) < 2.0
+
+
+def test_any_seed_gives_the_same_bytes():
+    m = make_pair(inliers=60, outliers=140, order=2.0).matches
+    a, b = (run("epiprior", m, seed=seed) for seed in (0, 5))
+    assert a.F is not None
+    assert b.F is not None
+    assert a.F.tobytes() == b.F.tobytes()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_dominant_plane_is_mended(seed):
+    pair = make_pair(scene="plane+", inliers=300, outliers=100, off_plane=30, order=3.0, seed=seed)
+    estimate = run("epiprior", pair.matches)
+    assert estimate.status is Status.OK
+    assert pair.error_px(estimate.F) < 2.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rough_matrices_replace_samples(seed):
+    """200 wrong matches of the highest probability lead every sample astray; one rough F is near the truth."""
+    pair = make_pair(inliers=60, outliers=400, order=1.0, seed=seed)
+    rough = np.concatenate([np.random.default_rng(seed).normal(size=(200, 3, 3)), perturbed(pair.F, 5, 0.003, seed)])
+    without = pair.error_px(run("epiprior", pair.matches).F)
+    with_rough = pair.error_px(run("epiprior", replace(pair.matches, rough_matrices=rough)).F)
+    assert with_rough < 2.0
+    assert with_rough <= without + 0.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_crowd_in_one_corner_does_not_outvote_the_image(seed):
+    """One corner with 80 matches of another motion against 60 matches all over the image."""
+    pair = make_pair(inliers=60, outliers=60, order=3.0, seed=seed)
+    other = make_pair(inliers=2000, outliers=0, noise_px=0.3, seed=seed + 50)
+    corner = np.flatnonzero((other.matches.x1 < [200, 180]).all(axis=1))[:80]
+    x1 = np.concatenate([other.matches.x1[corner], pair.matches.x1])
+    x2 = np.concatenate([other.matches.x2[corner][:, ::-1] * [1.2, 0.7], pair.matches.x2])
+    probability = np.concatenate([np.full(len(corner), 0.6), np.clip(pair.matches.probability, 0.02, 0.6)])
+    estimate = run("epiprior", make_matches(x1, x2, probability))
+    assert pair.error_px(estimate.F) < 3.0
+
+
+def test_candidates_of_a_feature_count_once():
+    """Ten candidates of each of 25 features, all on a wrong F: 25 voices, not 250."""
+    pair, other = (make_pair(inliers=n, outliers=0, seed=s) for n, s in ((60, 1), (25, 2)))
+    rng = np.random.default_rng(0)
+    wrong1 = np.repeat(other.matches.x1, 10, axis=0)
+    line = np.column_stack([wrong1, np.ones(250)]) @ other.F.T
+    u = rng.uniform(0, 1024, 250)
+    wrong2 = np.column_stack([u, -(line[:, 0] * u + line[:, 2]) / line[:, 1]])
+    matches = make_matches(
+        np.concatenate([wrong1, pair.matches.x1]),
+        np.concatenate([wrong2, pair.matches.x2]),
+        np.full(310, 0.5),
+        feature1=np.concatenate([np.repeat(np.arange(25), 10), 100 + np.arange(60)]),
+        feature2=np.arange(310),
+    )
+    assert pair.error_px(run("epiprior", matches).F) < 2.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_standard_matches_without_probabilities(seed):
+    pair = make_pair(inliers=80, outliers=120, order=2.0, seed=seed)
+    bare = make_matches(pair.matches.x1, pair.matches.x2)
+    estimate = run("epiprior", bare)
+    assert estimate.status is Status.OK
+    assert pair.error_px(estimate.F) < 1.0

@@ -1,0 +1,437 @@
+"""Analysis of the method's parts, on tiny pictures with a model made by hand, and its tables on made-up rows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from epiprior.estimators.handover import load_hand_overs
+from epiprior.geometry import eight_point, normalise_fundamental, sampson_distance
+from epiprior.presets import PAPER, find_preset
+from epiprior.rank import rank_matches
+from epiprior.ranking.frames import MatchFrames
+from epiprior.ranking.models import load_model
+from epiprior.ranking.two_keypoints import TwoKeypointMatches
+from epiprior_lab.analysis import oracles as analysis_oracles
+from epiprior_lab.analysis import steps as analysis
+from epiprior_lab.analysis.bench import AnalysisSettings
+from epiprior_lab.analysis.variants import oriented_votes, propose, ranked_sets, reordered, supports
+from epiprior_lab.labels.ground_truth import LabelSettings, errors_px
+from epiprior_lab.pairsets import read_pair_set
+from epiprior_lab.report import analysis_page, analysis_tables, table1
+from pictures import relief_pair, save
+from synthetic import make_pair
+from tiny_model import make_model
+
+SETTINGS = AnalysisSettings(
+    estimator="usac",
+    others=("prosac",),
+    beyond="magsac++",
+    seeds=(0, 1),
+    two_keypoint_counts=(12,),
+    refined_hypotheses=5,
+)
+# The model made by hand knows the columns of `default` only.
+PRESETS = {
+    "default": replace(find_preset("default"), two_keypoint_count=20),
+    "paper": replace(PAPER, two_keypoint_columns=find_preset("default").two_keypoint_columns, two_keypoint_count=20),
+}
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory):
+    """A pair of a relief, whose true epipolar lines are the rows, and a pair without texture."""
+    root = tmp_path_factory.mktemp("sets") / "relief"
+    (root / "images").mkdir(parents=True)
+    (root / "control_points").mkdir()
+    left, right = relief_pair()
+    grey = np.full_like(left, 128)
+    lines = ["pair_id,image1,image2,gt,scene,difficulty"]
+    y, x = np.mgrid[10:350:9j, 10:400:9j]
+    disparity = 25 + 12 * np.sin(x / 45) * np.cos(y / 40) + 8 * np.sin(y / 23)
+    points = np.column_stack([(x + disparity).ravel(), y.ravel(), x.ravel(), y.ravel()])
+    for name, images in (("relief-0", (left, right)), ("blank-0", (grey, grey))):
+        save(root / "images" / f"{name}-1.png", images[0])
+        save(root / "images" / f"{name}-2.png", images[1])
+        lines.append(f"{name},images/{name}-1.png,images/{name}-2.png,control_points,{name[:-2]},")
+        np.savetxt(root / "control_points" / f"{name}.csv", points, delimiter=",", header="x1,y1,x2,y2", comments="")
+    (root / "pairs.csv").write_text("\n".join(lines) + "\n")
+    return read_pair_set(root).pairs
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return load_model(make_model(tmp_path_factory.mktemp("model") / "default"))
+
+
+@pytest.fixture(scope="module")
+def analysed(pairs, model):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(analysis, "load_model", lambda name: model)
+        patch.setattr(analysis, "find_preset", PRESETS.__getitem__)
+        hand_overs = load_hand_overs(None)
+        common = {"settings": SETTINGS, "hand_overs": hand_overs, "labels": LabelSettings()}
+        both = analysis.analyse_pairs({"relief": pairs, "easy": pairs[1:]}, complete=("relief",), **common)
+        return [of_family(both, name) for name in ("relief", "easy")]
+
+
+def of_family(found, name):
+    """Return the rows of one family."""
+    return analysis.PairAnalysis(
+        **{part: [row for row in rows if row["family"] == name] for part, rows in vars(found).items()}
+    )
+
+
+@pytest.fixture(scope="module")
+def ranked(pairs, model):
+    return rank_matches(pairs[0].image1, pairs[0].image2, settings=PRESETS["default"], model=model)
+
+
+# --- kernels and variants
+
+
+def test_supports_equals_counts_by_hand():
+    rng = np.random.default_rng(0)
+    F = rng.normal(size=(12, 3, 3)) * [[1e-6, 1e-6, 1e-3], [1e-6, 1e-6, 1e-3], [1e-3, 1e-3, 1.0]]
+    x1, x2 = rng.uniform(0, 500, (2, 300, 2))
+    by_hand = [int((sampson_distance(matrix, x1, x2) < 20.0).sum()) for matrix in F]
+    assert max(by_hand) > min(by_hand)
+    np.testing.assert_array_equal(supports(F, x1, x2, 20.0), by_hand)
+
+
+def test_mean_errors_equal_the_measure_of_each_matrix():
+    rng = np.random.default_rng(1)
+    F, (x1, x2) = rng.normal(size=(7, 3, 3)), rng.uniform(0, 500, (2, 40, 2))
+    by_hand = [errors_px(matrix, x1, x2).mean() for matrix in F]
+    np.testing.assert_allclose(analysis_oracles.mean_errors_px(F, x1, x2), by_hand, rtol=1e-9)
+
+
+def test_two_oriented_matches_give_eight_points():
+    rng = np.random.default_rng(2)
+    n = 5
+    x1, x2 = rng.uniform(0, 500, (2, n, 2))
+    s1, s2 = rng.uniform(2, 8, (2, n))
+    a1, a2 = rng.uniform(0, 6, (2, n))
+    frames = MatchFrames(
+        x1=x1, x2=x2, scale1=s1, scale2=s2, orientation1_rad=a1, orientation2_rad=a2,
+        similarity=np.ones(n), fixed_similarity=np.ones(n), roll_rad=0.0,
+    )  # fmt: skip
+    # Matches 3 and 1 are held by the most probable 2keypoint matches; 4 by none.
+    pairs = TwoKeypointMatches(np.array([3, 1, 0]), np.array([3, 2, 2]), (), np.empty((3, 0), np.float32))
+    votes = oriented_votes(frames, pairs, np.array([0.9, 0.8, 0.1]), replace(PRESETS["default"], two_keypoint_count=2))
+    points = []
+    for x, s, a in ((x1, s1, a1), (x2, s2, a2)):
+        turns = [a[:, None] + 2 * np.pi * k / 3 for k in range(3)]
+        around = [x + 6 * s[:, None] * np.hstack([np.cos(t), np.sin(t)]) for t in turns]
+        points.append(np.concatenate([np.stack([x, *around], axis=1)[row] for row in (3, 1)]))
+    assert votes.matrices.shape == (1, 3, 3)
+    # The two have 8 points, which decide F exactly.
+    found = normalise_fundamental(votes.matrices[0])
+    np.testing.assert_allclose(found, eight_point(*points), atol=1e-6)
+    inside = sampson_distance(votes.matrices[0], x1, x2) < PRESETS["default"].vote_threshold
+    np.testing.assert_array_equal(votes.sfm, inside)
+    np.testing.assert_allclose(votes.weighted, np.where(inside, 0.9 * 0.8, 0), rtol=1e-6)
+
+
+def test_orders_by_one_measure(ranked):
+    matches = ranked.sets[0]
+    for ranking, column in (("sfm", "supporting_matrices"), ("2keypoint", "two_keypoint_probability")):
+        alone = reordered(matches, ranking)
+        values = getattr(alone, column)
+        assert len(alone) == (getattr(matches, column) > 0).sum() > 50
+        assert (np.diff(values) <= 0).all()
+        np.testing.assert_allclose(alone.probability, values / (len(matches.rough_matrices) if ranking == "sfm" else 1))
+    assert reordered(matches, "final") is matches
+
+
+def test_variants_of_the_default_method(pairs, ranked, model):
+    pair = pairs[0]
+    from epiprior.features.detect import FeatureSettings, detect_features, load_photograph
+
+    features = [detect_features(load_photograph(image), FeatureSettings()) for image in (pair.image1, pair.image2)]
+    proposals = propose((pair.image1, pair.image2), tuple(features), PRESETS["default"], model)
+    whole = ranked_sets(proposals)[0]
+    np.testing.assert_array_equal(whole.probability, ranked.sets[0].probability)
+    np.testing.assert_array_equal(whole.rough_matrices, ranked.sets[0].rough_matrices)
+
+    alone = ranked_sets(proposals, standard=False)[0]
+    assert len(alone) == len(proposals.candidates[0].X) < len(whole)
+    assert (alone.distance_ratio == 1).all()
+    assert (alone.similarity_weight == 0).all()
+    assert alone.supporting_matrices.max() == whole.supporting_matrices.max()
+
+    few = ranked_sets(proposals, replace(PRESETS["default"], two_keypoint_count=10))[0]
+    assert len(few.rough_matrices) == 45
+
+
+# --- oracles
+
+
+def test_oracles_know_the_truth():
+    pair = make_pair(inliers=120, outliers=300, noise_px=0.4, order=1.0)
+    matches = replace(pair.matches, rough_matrices=np.stack([pair.F + 1e-3, pair.F, np.eye(3)]))
+    labelled = analysis_oracles.Labelled(matches=matches, right=pair.right)
+    told = analysis_oracles.labels_first(labelled)
+    assert (told.probability[:120] > 0.9).all()
+    assert (told.probability[120:] < 0.1).all()
+    np.testing.assert_array_equal(told.x1[:120], matches.x1[pair.right])
+    assert len(labelled.right_one_to_one) == 120
+
+    fit = analysis_oracles.fit_right(labelled)
+    assert pair.error_px(fit) < 0.5
+    assert pair.error_px(analysis_oracles.refine_on_all(fit, matches)) < 1.5
+    assert analysis_oracles.score(fit, matches) > 2 * analysis_oracles.score(np.eye(3), matches)
+    assert analysis_oracles.fit_right(replace(labelled, right=np.zeros_like(pair.right))) is None
+
+    best, errors = analysis_oracles.best_hypotheses(labelled, (pair.control1, pair.control2), 2)
+    np.testing.assert_array_equal(best[0], pair.F)
+    assert errors[0] < 1e-6 < errors[1]
+
+
+# --- a whole pair
+
+
+def test_rows_of_a_pair(analysed):
+    complete, easy = analysed
+    results = pd.DataFrame(complete.results)
+    key = ["pair_id", "experiment", "variant", "ranking", "estimator"]
+    assert (results.groupby(key).size() == 2).all()
+    steps = results[results["experiment"] == "steps"]
+    assert set(steps["variant"]) == {
+        "standard", "2keypoint", "sfm", "single F", "single F, refined", "paper", "default", "beyond",
+    }  # fmt: skip
+    ablation = results[results["experiment"] == "ablation"]
+    assert set(ablation["variant"]) == {"default", "X alone", "frames of SIFT", "oriented matches", "K_2kp 12"}
+    relief = results[results["pair_id"] == "relief-0"].set_index(["experiment", "variant", "estimator", "ranking"])
+    for row in (
+        ("steps", "standard", "usac", "lowe"),
+        ("steps", "default", "usac", "final"),
+        ("ablation", "default", "usac", "sfm"),
+        ("oracle", "default", "prosac", "final"),
+        ("oracle", "true labels", "prosac", "final"),
+        ("oracle", "true labels", "magsac++", "final"),
+        ("oracle", "right matches", "none", "final"),
+        ("oracle", "best rough F, refined on all", "none", "final"),
+    ):
+        assert (relief.loc[row, "error_px"] < 1).all(), row
+    raw = relief.loc[("oracle", "best rough F", "none", "final"), "error_px"]
+    single = relief.loc[("steps", "single F", "none", "none"), "error_px"]
+    assert 0.05 < raw.iloc[0] < 10
+    assert single.iloc[0] > relief.loc[("steps", "single F, refined", "none", "none"), "error_px"].iloc[0]
+    assert relief.loc[("oracle", "right matches", "none", "final"), "score"].iloc[0] > 50
+
+    blank = results[results["pair_id"] == "blank-0"]
+    assert not (blank["status"] == "ok").any()
+    assert blank["error_px"].isna().all()
+
+    limits = pd.DataFrame(complete.limits).set_index("pair_id")
+    assert limits.loc["blank-0", "right_one_to_one"] == limits.loc["blank-0", "rough_matrices"] == 0
+    assert limits.loc["relief-0", "rough_matrices"] == 20 * 19 // 2
+    assert 0 < limits.loc["relief-0", "good_rough_matrices"] <= limits.loc["relief-0", "rough_matrices"]
+    assert 100 < limits.loc["relief-0", "right_one_to_one_in_x"] <= limits.loc["relief-0", "right_one_to_one"]
+
+    few = pd.DataFrame(easy.results)
+    assert set(few["experiment"]) == {"steps", "ablation"}
+    assert set(few[few["experiment"] == "ablation"]["variant"]) == {"default", "X alone"}
+    assert set(few[few["estimator"] == "prosac"]["variant"]) == {"sfm", "paper"}
+    assert easy.limits == []
+
+
+def test_rankings_of_a_pair(analysed, ranked, pairs):
+    table = pd.DataFrame(analysed[0].rankings)
+    table = table[table["pair_id"] == "relief-0"].set_index(["variant", "ranking"])
+    final = ranked.sets[0]
+    right = np.abs(final.x1[:, 1] - final.x2[:, 1]) < np.sqrt(2) * LabelSettings().epipolar_px
+    assert table.loc[("default", "final"), "precision_100"] == pytest.approx(right[:100].mean(), abs=0.03)
+    assert table.loc[("X alone", "final"), "matches"] < table.loc[("default", "final"), "matches"]
+    assert table.loc[("oriented matches", "sfm"), "precision_10"] > 0.5
+
+
+# --- tables, figures and pages
+
+
+def made_up(rates):
+    """Return an analysis of 4 pairs in which each variant's first seeds succeed as told, by pair."""
+    results, limits = [], []
+    for (experiment, variant, estimator), shares in rates.items():
+        for i, share in enumerate(shares):
+            for seed in range(5):
+                won = seed < 5 * share
+                results.append(
+                    {
+                        "family": "hard", "pair_id": f"p{i}", "scene": f"s{i}", "experiment": experiment,
+                        "variant": variant, "ranking": "final", "estimator": estimator, "seed": seed, "status": "ok",
+                        "error_px": 1.0 if won else 50.0, "score": 10.0 + i,
+                    }
+                )  # fmt: skip
+    for i in range(4):
+        limits.append(
+            {
+                "family": "hard", "pair_id": f"p{i}", "scene": f"s{i}", "matches": 100, "right_one_to_one": 12,
+                "right_one_to_one_in_x": 6 + 4 * i, "rough_matrices": 200, "good_rough_matrices": 10 * i,
+            }
+        )  # fmt: skip
+    names = ["family", "pair_id", "scene", "variant", "ranking", "matches", "right"]
+    rankings = pd.DataFrame(columns=[*names, "precision_10", "precision_100", "average_precision"])
+    return analysis_tables.Analysis(results=pd.DataFrame(results), rankings=rankings, limits=pd.DataFrame(limits))
+
+
+RATES = {
+    ("steps", "standard", "usac"): [0, 0, 0.2, 1],
+    ("steps", "paper", "usac"): [0.2, 0, 0.6, 1],
+    ("steps", "default", "usac"): [1, 0.4, 0, 0.4],
+    ("oracle", "default", "usac"): [1, 0.4, 0, 0.4],
+    ("oracle", "default", "beem"): [0, 0, 0, 1],
+    ("oracle", "true labels", "beem"): [1, 1, 0, 1],
+    ("oracle", "right matches", "none"): [1, 1, 1, 0],
+    ("oracle", "best rough F, refined on all", "none"): [1, 1, 0, 0],
+}
+
+
+def test_where_successes_are_lost():
+    lost = analysis_tables.lost_table(made_up(RATES), (10.0, 0.5))
+    at = lost.set_index(["threshold_px", "estimator"])
+    assert list(at.index) == [(t, name) for t in (10.0, 0.5) for name in ("usac", "beem")]
+    parts = ["chosen", "missed", "outscored", "hypothesis", "matches"]
+    # The F chosen for p1 has no more support than the right ones: the score is 11 for all.
+    assert at.loc[(10.0, "usac"), parts].tolist() == pytest.approx([1.8, 0.6, 0, 1.0, 0.6])
+    assert at.loc[(10.0, "beem"), parts].tolist() == pytest.approx([1, 2, 0, 1, 0])
+    assert at.loc[(0.5, "usac"), parts].tolist() == [0, 0, 0, 0, 4]
+    higher = made_up(RATES)
+    higher.results.loc[higher.results["variant"] == "default", "score"] = 12.0
+    assert analysis_tables.lost_table(higher, (10.0,)).loc[0, parts].tolist() == pytest.approx([1.8, 0, 0.6, 1.0, 0.6])
+
+
+def test_only_an_f_that_is_right_at_the_threshold_is_the_truth():
+    """The fit to the right matches has much support and an error of 5 px: right below 10 px, wrong below 3 px."""
+    made = made_up(RATES)
+    oracle = made.results["variant"] == "right matches"
+    made.results.loc[oracle, ["score", "error_px"]] = [20.0, 5.0]
+    made.results.loc[made.results["variant"] == "default", "score"] = 12.0
+    lost = analysis_tables.lost_table(made, (10.0, 3.0)).set_index(["threshold_px", "estimator"])
+    assert lost.loc[(10.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0.6, 0])
+    assert lost.loc[(3.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0, 0.6])
+
+
+def differences(*rows):
+    """Return rows of a table of successes of 8 pairs below 10 px: variant, ranking, difference and its interval."""
+    names = ("variant", "ranking", "difference", "difference_low", "difference_high")
+    at = {"family": "hard", "threshold_px": 10.0, "pairs": 8}
+    return pd.DataFrame([at | dict(zip(names, row, strict=True)) for row in rows])
+
+
+def test_the_page_says_where_the_whole_is_below_a_part():
+    table = differences(
+        ("standard", "lowe", 0.4, -1.0, 2.0), ("sfm", "sfm", 1.8, 0.4, 3.0), ("single F", "none", 1.0, 0.5, 2.0),
+        ("2keypoint", "2keypoint", 4e-16, 0.0, 1.0), ("paper", "final", np.nan, np.nan, np.nan),
+    )  # fmt: skip
+    text = analysis_page._steps_read(table)
+    assert "in the mean: *standard input (X_L)* on hard (10 px); *sfm alone* on hard (10 px)." in text
+    assert text.endswith("excludes zero: sfm alone on hard below 10 px, +1.8 [+0.4, +3.0].")
+    assert "single" not in text
+    assert "Nor are they below" in analysis_page._steps_read(differences(("sfm", "sfm", -1.0, -2.0, 1.0)))
+
+
+def test_the_page_says_which_variants_differ():
+    table = differences(
+        ("default", "final", np.nan, np.nan, np.nan), ("K_2kp 50", "final", -0.6, -1.2, -0.2),
+        ("frames of SIFT", "final", 0.5, 4e-15, 1.0), ("K_2kp 50", "sfm", 0.5, -0.2, 1.0),
+    )  # fmt: skip
+    text = analysis_page._ablations_read(table)
+    assert "Of the 2 differences ranked by final, this one has an interval that excludes zero: K_2kp 50 on hard" in text
+    assert "Of the 1 differences ranked by sfm, none has" in text
+    assert "With 8 pairs" in text
+
+
+def test_successes_and_their_references():
+    table = analysis_tables.success_table(made_up(RATES), thresholds_px=(10.0,), draws=200, seed=0)
+    with_beem = table[table["estimator"] == "beem"].set_index("variant")
+    assert np.isnan(with_beem.loc["default", "difference"])
+    assert with_beem.loc["true labels", "difference"] == pytest.approx(3 - 1)
+    table = table[(table["estimator"] != "beem")]
+    table = table.drop_duplicates("variant").set_index("variant")
+    assert table.loc["standard", "successes"] == pytest.approx(1.2)
+    assert table.loc["standard", "difference"] == pytest.approx(1.2 - 1.8)
+    assert np.isnan(table.loc["paper", "difference"])
+    assert table.loc["default", "difference"] == pytest.approx(0.0)
+    assert table.loc["default", "difference_low"] < 0 < table.loc["default", "difference_high"]
+    assert table.loc["right matches", "difference"] == pytest.approx(3 - 1.8)
+    assert analysis_tables.reference_of(("steps", "sfm", "sfm", "beem"), "usac") == ("steps", "paper", "final", "beem")
+    whole = ("ablation", "default", "sfm", "usac")
+    assert analysis_tables.reference_of(("ablation", "K_2kp 50", "sfm", "usac"), "usac") == whole
+
+
+def test_what_the_pairs_allow():
+    row = analysis_tables.limits_table(made_up(RATES)).iloc[0]
+    assert row["enough_8"] == 0.75
+    assert row["enough_15"] == 0.25
+    assert row["right_in_x"] == 12
+    assert row["good_rough"] == pytest.approx(0.075)
+
+
+def evaluated():
+    """Return what an evaluation of five pairs says, of which the shares of right matches in X_L are known."""
+    rankings, results = [], []
+    for i, right in enumerate([30, 10, 50, 20, 40]):
+        for preset, ranking in table1.LISTS.values():
+            rankings.append(
+                {
+                    "family": "f", "pair_id": f"p{i}", "scene": "s", "preset": preset, "ranking": ranking,
+                    "matches": 100 if ranking == "lowe" else 5000, "right": right, "precision_10": 0.9,
+                    "precision_100": right / 100, "precision_500": 0.1, "average_precision": 0.3,
+                }
+            )  # fmt: skip
+        for estimator in ("usac", "beem", "blogs"):
+            for name in ("standard", "paper", "default"):
+                for seed in range(3):
+                    won = name == "default" or (estimator == "beem" and seed < 2)
+                    results.append(
+                        {"pair_id": f"p{i}", "scene": "s", "estimator": estimator, "input": name, "seed": seed,
+                         "status": "ok", "error_px": 2.0 if won else 30.0}
+                    )  # fmt: skip
+    return table1.FamilyResults(results=pd.DataFrame(results), rankings=pd.DataFrame(rankings))
+
+
+def test_named_pairs_are_chosen_by_rule():
+    assert table1.named_pairs(evaluated().rankings, (0.0, 0.5, 1.0)) == ["p1", "p0", "p2"]
+
+
+def test_table1_says_who_succeeds():
+    text = table1.table1_markdown({"f": evaluated()}, (0.5,), 10.0)
+    rows = {
+        line.split("|")[1].strip(): [c.strip() for c in line.split("|")[2:-1]]
+        for line in text.splitlines()
+        if "|" in line
+    }
+    assert rows["matches"] == ["100", "5,000", "5,000", "5,000"]
+    assert rows["right of the first 10"] == ["9"] * 4
+    assert rows["right of the first 100"] == ["30"] * 4
+    assert rows["success"] == ["1 of 3: beem", "–", "1 of 3: beem", "3 of 3"]
+
+
+def test_everything_is_written_twice_alike(analysed, pairs, tmp_path):
+    analysis.PairAnalysis.join(analysed).write(tmp_path / "data")
+    found = table1.FamilyResults(
+        rankings=evaluated().rankings.replace({"pair_id": {"p0": "relief-0", "p1": "blank-0"}}),
+        results=evaluated().results.replace({"pair_id": {"p0": "relief-0", "p1": "blank-0"}}),
+    )
+    written = []
+    for name in ("one", "two"):
+        out = tmp_path / name
+        files = analysis_page.write_analysis(
+            analysis_tables.Analysis.read(tmp_path / "data"), {"relief": found}, {"relief": pairs}, out,
+            thresholds_px=(10.0, 3.0), quantiles=(0.0, 0.5), refined=5, draws=100, seed=0,
+        )  # fmt: skip
+        assert {path.name for path in files} == {path.name for path in out.iterdir()}
+        written.append({path.name: path.read_bytes() for path in files})
+    assert written[0] == written[1]
+    assert set(written[0]) == {
+        "analysis.md", "table1.md", "table1.jpg", "steps.png", "ablations.png", "limits.png",
+        "successes.csv", "rankings.csv", "lost.csv",
+    }  # fmt: skip
+    page = written[0]["analysis.md"].decode()
+    assert "**relief**, 2 pairs" in page
+    assert "two oriented matches | sfm" in page
+    assert "{" not in page
+    assert "nan" not in page

@@ -1,0 +1,242 @@
+"""Tasks on a cluster: a scheduler and two workers, each a process of its own on this machine."""
+
+import contextlib
+import inspect
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joblib.externals.loky import process_executor
+from rich.console import Console
+
+from epiprior.errors import SettingsError
+from epiprior_lab.compute.executors import open_pool
+from epiprior_lab.compute.tasks import Task, TaskError, map_tasks
+from epiprior_lab.evaluation import folders as real
+from pictures import relief_pair, save
+
+WORK = """
+import os, time
+import cv2, numba, threadpoolctl
+
+def threads(seconds):
+    time.sleep(seconds)
+    pools = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
+    return [os.getpid(), cv2.getNumThreads(), numba.get_num_threads(), max(pools, default=1)]
+
+def fill(array):
+    array[:] = 7
+    return array
+
+def fail_after(seconds, value):
+    time.sleep(seconds)
+    if value % 2:
+        raise ValueError(f"{value} is odd")
+    return os.getcwd()
+"""
+PAIRS = 20
+
+
+class Cluster:
+    """A scheduler and its workers; `ensure` starts what is missing."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.scheduler = None
+        self.address = None
+        self.workers = []
+
+    def ensure(self, workers):
+        if self.scheduler is None or self.scheduler.poll() is not None:
+            self.close()
+            file = self.folder / "scheduler.json"
+            file.unlink(missing_ok=True)
+            self.scheduler = self._start("scheduler", "--port", "0", "--scheduler-file", file)
+            wait_until(lambda: file.exists() and file.read_text().endswith("}"))
+            self.address = json.loads(file.read_text())["address"]
+        self.workers = [worker for worker in self.workers if worker.poll() is None]
+        while len(self.workers) < workers:
+            options = ["--no-nanny", "--nthreads", "2", "--death-timeout", "30", "--local-directory", self.folder]
+            self.workers.append(self._start("worker", self.address, *options))
+
+    def _start(self, kind, *options):
+        module = f"distributed.cli.dask_{kind}"
+        command = [sys.executable, "-m", module, *map(str, options), "--host", "127.0.0.1", "--no-dashboard"]
+        with (self.folder / "log").open("ab") as log:
+            return subprocess.Popen(command, cwd=self.folder, stdout=log, stderr=log)
+
+    def close(self):
+        for process in (*self.workers, *filter(None, [self.scheduler])):
+            process.kill()
+            process.wait()
+        self.workers = []
+
+
+def wait_until(condition, seconds=120):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("work")
+    (folder / "cluster_work.py").write_text(WORK, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+        patch.delenv("EPIPRIOR_SCHEDULER", raising=False)
+        import cluster_work
+
+        yield cluster_work
+    del sys.modules["cluster_work"]
+
+
+@pytest.fixture(scope="module")
+def cluster(work, tmp_path_factory):
+    with contextlib.closing(Cluster(tmp_path_factory.mktemp("cluster"))) as cluster:
+        yield cluster
+
+
+@pytest.fixture(autouse=True)
+def no_client_left():
+    """Assert that no thread of a client outlives a test: when it is collected later, it may block another one."""
+    yield
+    assert "IO loop" not in {thread.name for thread in threading.enumerate()}
+
+
+@pytest.fixture(scope="module")
+def datasets(tmp_path_factory):
+    """Return a folder with a set of small pairs whose rows correspond."""
+    root = tmp_path_factory.mktemp("datasets") / "relief"
+    (root / "images").mkdir(parents=True)
+    (root / "control_points").mkdir()
+    lines = ["pair_id,image1,image2,gt,scene,difficulty"]
+    for k in range(PAIRS):
+        for side, image in zip("ab", relief_pair(160, 120, seed=k), strict=True):
+            save(root / "images" / f"{k}{side}.png", image)
+        points = np.random.default_rng(k).uniform(20, 100, (30, 4))
+        points[:, 3] = points[:, 1]
+        np.savetxt(root / "control_points" / f"p{k}.csv", points, delimiter=",", header="x1,y1,x2,y2", comments="")
+        lines.append(f"p{k},images/{k}a.png,images/{k}b.png,control_points,s{k},")
+    (root / "pairs.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return root.parent
+
+
+def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(cluster, datasets, tmp_path):
+    cluster.ensure(workers=2)
+
+    def run(name, **where):
+        out, store = tmp_path / f"{name}.csv", tmp_path / name
+        with open(os.devnull, "w") as sink:  # noqa: PTH123
+            real.run_real(datasets, seeds=1, out=out, store=store, console=Console(file=sink), **where)
+        return out.read_bytes(), {path.name: path.read_bytes() for path in store.rglob("*.result")}
+
+    alone = run("alone", workers=1)
+    assert len(alone[1]) == PAIRS
+    at_kill, ended = [], []
+
+    def kill_one():
+        wait_until(lambda: ended or len(list((tmp_path / "cluster").rglob("*.result"))) >= 3)
+        cluster.workers[0].kill()
+        at_kill.append(len(list((tmp_path / "cluster").rglob("*.result"))))
+
+    killer = threading.Thread(target=kill_one)
+    killer.start()
+    try:
+        spread = run("cluster", workers=1, scheduler=cluster.address)
+    finally:
+        ended.append(True)
+        killer.join()
+    assert at_kill[0] < PAIRS
+    assert cluster.workers[0].wait(timeout=10) != 0
+    assert spread == alone
+
+
+def test_tasks_of_a_cluster_have_one_thread_each_and_their_own_arrays(cluster, work, monkeypatch):
+    cluster.ensure(workers=1)
+    monkeypatch.setenv("EPIPRIOR_SCHEDULER", cluster.address)
+    tasks = [Task(name=str(i), payload={"seconds": 0.2}) for i in range(8)]
+    rows = map_tasks(work.threads, tasks, workers=1, description="threads")
+    assert {row[0] for row in rows} <= {worker.pid for worker in cluster.workers}
+    assert {tuple(row[1:]) for row in rows} == {(1, 1, 1)}
+    arrays = [np.zeros(2_000_000), np.zeros(10)]  # the first is so large that dask would warn
+    tasks = [Task(name=str(i), payload={"array": array}) for i, array in enumerate(arrays)]
+    filled = map_tasks(work.fill, tasks, workers=1, description="fill")
+    assert all((array == 7).all() for array in filled)
+    assert all((array == 0).all() for array in arrays)
+
+
+def test_the_first_failure_on_a_cluster_is_named(cluster, work, tmp_path):
+    cluster.ensure(workers=1)
+    values = [0, 3, 5, *range(6, 26, 2)]
+    tasks = [Task(name=str(v), payload={"seconds": 0.5 if v == 3 else 0.05, "value": v}) for v in values]
+    store, where = tmp_path / "store", {"workers": 1, "scheduler": cluster.address}
+    with pytest.raises(TaskError, match="odd or even: task '3' failed: ValueError: 3 is odd"):
+        map_tasks(work.fail_after, tasks, description="odd or even", store=store, **where)
+    assert 1 <= len(list(store.iterdir())) < len(tasks) - 2
+    folder = map_tasks(work.fail_after, tasks[:1], description="folder", **where)
+    assert folder == [str(Path.cwd())]  # not the folder that the worker was started in
+
+
+def test_a_lost_scheduler_is_told_and_what_was_ready_is_kept(cluster, work, tmp_path):
+    cluster.ensure(workers=1)
+    tasks = [Task(name=f"pair {v}", payload={"seconds": 0.1, "value": 2 * v}) for v in range(200)]
+    store, ended = tmp_path / "store", []
+
+    def kill():
+        wait_until(lambda: ended or len(list(store.glob("*.result"))) >= 5)
+        cluster.scheduler.kill()
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        with pytest.raises(TaskError, match="scheduler was lost"):
+            map_tasks(work.fail_after, tasks, workers=1, description="work", store=store, scheduler=cluster.address)
+    finally:
+        ended.append(True)
+        killer.join()
+    assert 5 <= len(list(store.glob("*.result"))) < 200
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "tcp://127.0.0.1:port"])
+def test_an_address_without_a_scheduler_is_named(work, monkeypatch, address):
+    monkeypatch.setattr("epiprior_lab.compute.executors._CONNECT_SECONDS", 0.5)
+    monkeypatch.setenv("EPIPRIOR_SCHEDULER", address)
+    with pytest.raises(SettingsError, match=f"scheduler = '{address}': no dask scheduler answers"):
+        map_tasks(work.threads, [Task(name="a", payload={"seconds": 0})], workers=1, description="threads")
+    assert map_tasks(work.threads, [], workers=1, description="nothing") == []
+
+
+def test_a_scheduler_without_workers_is_named(work, tmp_path, monkeypatch):
+    monkeypatch.setattr("epiprior_lab.compute.executors._FIRST_WORKER_SECONDS", 0.2)
+    with contextlib.closing(Cluster(tmp_path)) as cluster:
+        cluster.ensure(workers=0)
+        with (
+            pytest.raises(SettingsError, match=r"no worker came within 0\.2 s"),
+            open_pool(workers=1, scheduler=cluster.address),
+        ):
+            pass
+
+
+def test_a_missing_package_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(SettingsError, match=r"epiprior\[cluster\]"), open_pool(workers=1, scheduler="tcp://host:1"):
+        pass
+
+
+def test_a_worker_that_grew_is_replaced_without_a_word():
+    text = "A worker stopped while some jobs were given to the "
+    assert text in inspect.getsource(process_executor)
+    with open_pool(workers=2, scheduler=None):
+        warnings.warn(f"{text}executor. This can be caused by a memory leak.", UserWarning, stacklevel=1)
+    with pytest.warns(UserWarning, match=text):
+        warnings.warn(f"{text}executor.", UserWarning, stacklevel=1)

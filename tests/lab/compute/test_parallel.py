@@ -1,0 +1,402 @@
+import contextlib
+import hashlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cloudpickle
+import cv2
+import numba
+import numpy as np
+import psutil
+import pytest
+import threadpoolctl
+from joblib.externals.loky import get_reusable_executor
+
+from epiprior.errors import SettingsError
+from epiprior_lab.compute import tasks as parallel
+from epiprior_lab.compute.source_graph import source_files
+from epiprior_lab.compute.store import ContentKeys
+from epiprior_lab.compute.tasks import Task, TaskError, default_workers, map_tasks, single_threaded
+
+# The functions that run in tasks live in a module of their own that every worker can import.
+WORK = """
+import os, sys, time
+from pathlib import Path
+import cv2, numba, numpy as np, threadpoolctl
+
+FACTOR = 2
+
+def double(value, log=None):
+    if log is not None:
+        with Path(log).open("a") as file:
+            file.write(f"{value}\\n")
+    if value < 0:
+        raise ValueError(f"{value} is negative")
+    return FACTOR * value
+
+def slow(value, log):
+    time.sleep(0.05)
+    return double(value, log)
+
+def threads():
+    pools = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
+    return [os.getpid(), cv2.getNumThreads(), numba.get_num_threads(), max(pools, default=1)]
+
+def product(seed):
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(300, 300)).astype(np.float32)
+    return {"rows": rows @ rows.T, "name": sys.intern("rows"), "again": "rows"}
+
+def read(path):
+    return Path(path).read_text()
+
+def fill(array):
+    array[:] = 7
+    return array
+
+def fail_after(seconds, log, value):
+    with Path(log).open("a") as file:
+        file.write(f"{value}\\n")
+    time.sleep(seconds)
+    if value % 2:
+        raise ValueError(f"{value} is odd")
+
+class Odd(Exception):
+    def __init__(self, first, second):
+        super().__init__(f"{first} and {second}")
+
+def raise_odd():
+    raise Odd("one", "two")
+
+def die(value):
+    if value == 5:
+        os.kill(os.getpid(), 9)
+    return value
+
+def interrupt(value):
+    if value == 2:
+        raise KeyboardInterrupt
+    return value
+"""
+
+STOPPED = """
+import signal
+import sys
+from pathlib import Path
+import work
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by what a shell starts in the background
+from epiprior_lab.compute.tasks import Task, map_tasks
+tasks = [Task(name=str(i), payload={"value": i, "log": sys.argv[2]}) for i in range(60)]
+map_tasks(work.slow, tasks, workers=2, description="slow", store=Path(sys.argv[1]))
+"""
+
+OWN_FUNCTION = """
+from dataclasses import dataclass
+from epiprior_lab.compute.tasks import Task, map_tasks
+
+@dataclass(frozen=True)
+class Number:
+    value: int
+
+def twice(number):
+    return 2 * number.value
+
+tasks = [Task(name=str(i), payload={"number": Number(i)}) for i in range(4)]
+for workers in (1, 2):
+    assert map_tasks(twice, tasks, workers=workers, description="own") == [0, 2, 4, 6]
+"""
+
+
+@pytest.fixture(scope="module")
+def work_module(tmp_path_factory):
+    """Write the module, where workers that are started from now on find it too."""
+    folder = tmp_path_factory.mktemp("work")
+    (folder / "work.py").write_text(WORK, encoding="utf-8")
+    get_reusable_executor().shutdown(wait=True)  # workers that earlier tests left waiting would not find it
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+        patch.delenv("EPIPRIOR_SCHEDULER", raising=False)
+        import work
+
+        yield work
+    get_reusable_executor().shutdown(wait=True)
+    del sys.modules["work"]
+
+
+@pytest.fixture
+def work(work_module):
+    yield work_module
+    Path(work_module.__file__).write_text(WORK, encoding="utf-8")
+    source_files.cache_clear()
+
+
+@pytest.fixture
+def doubled(work, tmp_path):
+    """Double values through one store, and tell which of them were computed."""
+    log = tmp_path / "log"
+
+    def doubled(values, *, workers=1, **options):
+        log.write_text("")
+        tasks = [Task(name=f"pair {v}", payload={"value": v, "log": log}) for v in values]
+        store = tmp_path / "store"
+        results = map_tasks(work.double, tasks, workers=workers, description="doubling", store=store, **options)
+        return results, sorted(int(line) for line in log.read_text().split())
+
+    return doubled
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_keep_the_order_of_the_tasks(work, workers):
+    tasks = [Task(name=str(value), payload={"value": value}) for value in (5, 1, 4, 2)]
+    assert map_tasks(work.double, tasks, workers=workers, description="doubling") == [10, 2, 8, 4]
+
+
+def test_no_tasks(work, tmp_path):
+    assert map_tasks(work.double, [], workers=2, description="nothing", store=tmp_path / "store") == []
+
+
+def test_stored_results_are_used_again(doubled):
+    assert doubled([1, 2]) == ([2, 4], [1, 2])
+    assert doubled([3, 2, 1]) == ([6, 4, 2], [3])
+
+
+def test_the_store_does_not_grow_with_new_keys(doubled, work, tmp_path):
+    doubled([1, 2])
+    source = Path(work.__file__)
+    source.write_text(WORK + "# changed\n", encoding="utf-8")
+    source_files.cache_clear()
+    assert doubled([1, 2])[1] == [1, 2]  # another source is another key
+    assert len(list((tmp_path / "store").iterdir())) == 2
+
+
+def test_payload_files_and_code_enter_the_key(work, tmp_path):
+    path, store = tmp_path / "input.txt", tmp_path / "store"
+    path.write_text("one")
+    task = Task(name="only", payload={"path": path}, files=(path,))
+    assert map_tasks(work.read, [task], workers=1, description="read", store=store) == ["one"]
+    path.write_text("two")
+    assert map_tasks(work.read, [task], workers=1, description="read", store=store) == ["two"]
+    blind = Task(name="only", payload={"path": path})
+    path.write_text("three")
+    assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
+    path.write_text("four")
+    assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
+    Path(work.__file__).write_text(WORK + "# changed\n", encoding="utf-8")
+    source_files.cache_clear()
+    assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["four"]
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:-1] + b"?", lambda b: b""])
+def test_a_damaged_result_is_computed_again(doubled, tmp_path, damage):
+    doubled([1, 2])
+    victim = next((tmp_path / "store").glob("pair_2-*"))
+    victim.write_bytes(damage(victim.read_bytes()))
+    assert doubled([1, 2]) == ([2, 4], [2])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_failure_names_the_task_and_keeps_what_was_ready(doubled, workers):
+    with pytest.raises(TaskError, match=r"doubling: task 'pair -1' failed: ValueError: -1 is negative"):
+        doubled([1, 2, 3, 4, 5, 6, 7, -1], workers=workers)
+    again = doubled([1, 2, 3, 4], workers=workers)
+    assert again == ([2, 4, 6, 8], [])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_first_failure_is_named_and_nothing_is_started_after_it(work, tmp_path, workers):
+    log, store = tmp_path / "log", tmp_path / "store"
+    values = [0, 3, 5, *range(6, 46, 2)]
+    seconds = {3: 0.5}  # 5 fails before 3 does
+    tasks = [Task(name=str(v), payload={"seconds": seconds.get(v, 0.1), "log": log, "value": v}) for v in values]
+    with pytest.raises(TaskError, match="odd or even: task '3' failed: ValueError: 3 is odd"):
+        map_tasks(work.fail_after, tasks, workers=workers, description="odd or even", store=store)
+    started = [int(line) for line in log.read_text().split()]
+    assert len(started) < 12
+    names = {path.name.split("-")[0] for path in store.iterdir()}
+    assert names == {str(v) for v in started} - {"3", "5"}  # what had been handed out was let end
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_that_cannot_be_pickled_is_told(work, workers):
+    tasks = [Task(name=name) for name in "ab"]
+    with pytest.raises(TaskError, match="odd: task 'a' failed: Odd: one and two"):
+        map_tasks(work.raise_odd, tasks, workers=workers, description="odd")
+
+
+def test_a_worker_that_was_killed_is_told_and_what_was_ready_is_kept(work, tmp_path):
+    store = tmp_path / "store"
+    tasks = [Task(name=f"pair {i}", payload={"value": i}) for i in range(12)]
+    with pytest.raises(TaskError, match=r"die: workers were killed .*'pair 5'.* kept"):
+        map_tasks(work.die, tasks, workers=2, description="die", store=store)
+    assert list(store.glob("pair_0-*"))
+    assert map_tasks(work.die, tasks[:5], workers=2, description="die", store=store) == list(range(5))
+
+
+def test_functions_and_payloads_of_a_script(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(OWN_FUNCTION, encoding="utf-8")
+    subprocess.run([sys.executable, str(script)], check=True, capture_output=True, timeout=120)
+
+
+@pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
+def test_a_stopped_run_leaves_no_workers_and_continues(work, tmp_path, stop):
+    script, store, log = tmp_path / "stopped.py", tmp_path / "store", tmp_path / "log"
+    script.write_text(STOPPED, encoding="utf-8")
+    command = [sys.executable, str(script), str(store), str(log)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True) as run:
+        try:
+            deadline = time.monotonic() + 120
+            while len(list(store.glob("*.result"))) < 10 and time.monotonic() < deadline:
+                time.sleep(0.01)
+            workers = psutil.Process(run.pid).children()
+            assert len(workers) >= 2
+            if stop == signal.SIGKILL:
+                run.kill()  # this process only: its workers have to notice
+            else:
+                os.killpg(run.pid, stop)  # as a terminal does: workers get it too
+            _, told = run.communicate(timeout=60)
+            assert psutil.wait_procs(workers, timeout=60)[1] == []
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(run.pid, signal.SIGKILL)
+    assert run.returncode == -stop
+    assert told.count(b"KeyboardInterrupt") == (stop == signal.SIGINT)
+    before = {path.name for path in store.glob("*.result")}
+    assert 10 <= len(before) < 60
+    log.write_text("")
+    tasks = [Task(name=str(i), payload={"value": i, "log": str(log)}) for i in range(60)]
+    options = {"workers": 2, "description": "slow", "store": store}
+    assert map_tasks(work.slow, tasks, **options) == [2 * i for i in range(60)]
+    assert len(log.read_text().split()) == 60 - len(before)
+
+
+def test_an_interrupt_in_this_process_goes_through(work, tmp_path):
+    tasks = [Task(name=f"pair {i}", payload={"value": i}) for i in range(4)]
+    with pytest.raises(KeyboardInterrupt):
+        map_tasks(work.interrupt, tasks, workers=1, description="interrupt", store=tmp_path)
+    assert len(list(tmp_path.glob("*.result"))) == 2
+
+
+def test_one_and_two_workers_give_the_same_bytes(work, tmp_path):
+    def stored(workers):
+        store = tmp_path / f"{workers}"
+        tasks = [Task(name=f"{seed}", payload={"seed": seed}) for seed in range(6)]
+        map_tasks(work.product, tasks, workers=workers, description="products", store=store)
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in store.iterdir()}
+
+    one = stored(1)
+    assert len(one) == 6
+    assert one == stored(2)
+
+
+def test_tasks_see_one_thread_and_the_caller_gets_its_threads_back(work):
+    before = cv2.getNumThreads(), numba.get_num_threads()
+    tasks = [Task(name=str(i)) for i in range(6)]
+    alone = map_tasks(work.threads, tasks, workers=1, description="threads")
+    assert {tuple(row) for row in alone} == {(os.getpid(), 1, 1, 1)}
+    spread = map_tasks(work.threads, tasks, workers=2, description="threads")
+    assert os.getpid() not in {row[0] for row in spread}
+    assert {tuple(row[1:]) for row in spread} == {(1, 1, 1)}
+    assert (cv2.getNumThreads(), numba.get_num_threads()) == before
+
+
+def test_single_threaded_restores_the_environment(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with single_threaded():
+        assert os.environ["OMP_NUM_THREADS"] == os.environ["MKL_NUM_THREADS"] == "1"
+        assert all(pool["num_threads"] == 1 for pool in threadpoolctl.threadpool_info())
+    assert os.environ["OMP_NUM_THREADS"] == "3"
+    assert "MKL_NUM_THREADS" not in os.environ
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_arrays_are_writable_and_the_callers_own_stay(work, workers):
+    arrays = [np.zeros(300_000) for _ in range(2)]
+    tasks = [Task(name=str(i), payload={"array": array}) for i, array in enumerate(arrays)]
+    results = map_tasks(work.fill, tasks, workers=workers, description="fill")
+    assert all((result == 7).all() for result in results)
+    assert all((array == 0).all() for array in arrays)
+
+
+@dataclass(frozen=True)
+class Options:
+    low: float
+    high: float
+
+
+def test_equal_payloads_have_equal_keys_and_others_differ(work):
+    keys = ContentKeys(work.double)
+    payloads = [
+        {"a": 1},
+        {"a": 1.0},
+        {"a": True},
+        {"a": "1"},
+        {"a": [1, [2]]},
+        {"a": [[1], 2]},
+        {"a": (1, 2)},
+        {"a": ["1", "2"]},
+        {"a": ["12"]},
+        {"a": np.float64(1)},
+        {"a": np.zeros(4)},
+        {"a": np.zeros((2, 2))},
+        {"a": np.zeros(4, np.float32)},
+        {"a": Options(0, 1)},
+        {"a": Options(1, 0)},
+        {"a": None},
+        {"a": b"1"},
+        {"a": Path("1")},
+        {},
+    ]
+    assert len({keys.key(payload, ()) for payload in payloads}) == len(payloads)
+    assert keys.key({"a": 1, "b": [np.ones(2)]}, ()) == keys.key({"b": [np.ones(2)], "a": 1}, ())
+
+
+def test_a_worker_with_other_code_is_named(work):
+    call = cloudpickle.dumps((work.double, {"value": 1}))
+    here = ContentKeys(default_workers).installation
+    assert "epiprior_lab/compute/executors.py" in here.sources
+    assert pickle.loads(parallel._run(call, "doubling", Path.cwd(), here)) == 2
+    for other in (replace(here, sources=here.sources[1:]), replace(here, digest=b"other")):
+        with pytest.raises(TaskError, match=rf"doubling failed: .*worker {os.getpid()} on \S+ has other code"):
+            parallel._run(call, "doubling", Path.cwd(), other)
+
+
+def test_bad_calls_are_named(work, tmp_path):
+    def call(task, *more, workers=1):
+        map_tasks(work.double, [task, *more], workers=workers, description="doubling", store=tmp_path / "store")
+
+    with pytest.raises(SettingsError, match="workers = 0"):
+        call(Task(name="a"), workers=0)
+    with pytest.raises(SettingsError, match="repeated task name 'a'"):
+        call(Task(name="a"), Task(name="a"))
+    with pytest.raises(SettingsError, match="payload of task 'a': object has no stable key"):
+        call(Task(name="a", payload={"value": object()}))
+    with pytest.raises(TaskError, match=r"task 'a': cannot read .*absent\.jpg"):
+        call(Task(name="a", files=(tmp_path / "absent.jpg",)))
+
+
+def test_workers_come_from_the_environment(monkeypatch):
+    monkeypatch.setenv("EPIPRIOR_WORKERS", "3")
+    assert default_workers() == 3
+    monkeypatch.delenv("EPIPRIOR_WORKERS")
+    assert default_workers() >= 1
+    for text in ("0", "-1", "two", "1.5"):
+        monkeypatch.setenv("EPIPRIOR_WORKERS", text)
+        with pytest.raises(SettingsError, match=f"EPIPRIOR_WORKERS = '{text}'"):
+            default_workers()
+
+
+def test_progress_without_a_terminal_is_lines(work, capsys, monkeypatch):
+    monkeypatch.setattr(parallel, "_SECONDS_BETWEEN_LINES", 0.0)
+    tasks = [Task(name=str(value), payload={"value": value}) for value in range(3)]
+    map_tasks(work.double, tasks, workers=1, description="doubling")
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(" after")[0] for line in lines] == [f"doubling: {i} of 3" for i in (1, 2, 3, 3)]

@@ -1,0 +1,151 @@
+"""Distances of fundamental matrices and errors of poses: exact geometry, and slow twins."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from epiprior.geometry import normalise_fundamental
+from epiprior.types import FundamentalEstimate, Status
+from epiprior_lab.evaluation.photographs.estimation import measured
+from epiprior_lab.evaluation.photographs.measures import points_on_lines, pose_errors, symmetric_distance
+from epiprior_lab.evaluation.photographs.params import MeasureParams
+from epiprior_lab.evaluation.photographs.truth import Truth, on_one_plane, split_of
+from epiprior_lab.pairsets import Camera, Pair, fundamental_from_cameras
+from synthetic import HEIGHT, WIDTH, K, rotation
+
+SIZES = ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
+
+
+def cameras(angle=15.0, t=(-2.0, 0.3, 0.4)):
+    first = Camera(K=K, R=np.eye(3), t=np.zeros(3), width=WIDTH, height=HEIGHT)
+    second = Camera(K=K, R=rotation((0.1, 1, 0.2), angle), t=np.asarray(t), width=WIDTH, height=HEIGHT)
+    return first, second
+
+
+def seen(pair, count=60, seed=0):
+    """Points before both cameras, as both see them."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-1, 1, (count, 2)), rng.uniform(5, 9, count)])
+    (x1, depth1), (x2, depth2) = (camera.project(points) for camera in pair)
+    assert (depth1 > 0).all()
+    assert (depth2 > 0).all()
+    return x1, x2
+
+
+def naive_distance(F, other, sizes, points, seed):
+    """One random point at a time; another draw, so equal only on average."""
+    rng = np.random.default_rng(seed)
+    totals = []
+    for A, B in ((F, other), (other, F)):
+        done = []
+        while len(done) < points:
+            x1 = np.append(rng.uniform(0, [sizes[0][0] - 1, sizes[0][1] - 1]), 1.0)
+            line = A @ x1
+            ends = []
+            for value, axis in ((0, 0), (sizes[1][0] - 1, 0), (0, 1), (sizes[1][1] - 1, 1)):
+                if abs(line[1 - axis]) < 1e-12:
+                    continue
+                other_value = -(line[2] + line[axis] * value) / line[1 - axis]
+                if 0 <= other_value <= sizes[1][1 - axis] - 1:
+                    ends.append((value, other_value) if axis == 0 else (other_value, value))
+            if len(ends) < 2:
+                continue
+            p, q = np.array(ends[0]), np.array(ends[-1])
+            x2 = np.append(p + rng.random() * (q - p), 1.0)
+            second, first = B @ x1, B.T @ x2
+            d2 = abs(second @ x2) / np.hypot(*second[:2]) / np.hypot(*sizes[1])
+            d1 = abs(first @ x1) / np.hypot(*first[:2]) / np.hypot(*sizes[0])
+            done.append(min(1.0, (d1 + d2) / 2))
+        totals.append(np.mean(done))
+    return np.mean(totals)
+
+
+def test_distance_is_that_of_the_naive_twin():
+    F, other = (fundamental_from_cameras(*cameras(t=t)) for t in ((-2.0, 0.3, 0.4), (-2.0, 0.6, 0.2)))
+    found = symmetric_distance(F, other, SIZES, points=4000, seed=1)
+    assert found == pytest.approx(naive_distance(F, other, SIZES, 3000, 2), rel=0.06)
+    assert 0.01 < found < 0.5
+
+
+def test_distance_is_zero_only_for_the_same_and_symmetric_on_average():
+    F, other = (fundamental_from_cameras(*cameras(angle)) for angle in (15.0, 17.0))
+    assert symmetric_distance(F, -3 * F, SIZES) < 1e-9
+    there, back = symmetric_distance(F, other, SIZES, points=5000), symmetric_distance(other, F, SIZES, points=5000)
+    assert there == pytest.approx(back, rel=0.05)
+    assert symmetric_distance(F, other, SIZES, seed=3) == symmetric_distance(F, other, SIZES, seed=3)
+
+
+def test_lines_that_miss_the_image_leave_nothing_in_common():
+    # Every epipolar line of image 2 is y = -50: outside.
+    below = np.outer([0.0, 1.0, 50.0], [0.0, 0.0, 1.0])
+    assert symmetric_distance(below, below, SIZES) == 1.0
+
+
+def test_points_on_lines():
+    lines = np.array([[1.0, 0, -20], [0, 1, -30], [1, 1, -10], [1, 0, 5], [0, 0, 1]])
+    x, met = points_on_lines(lines, (100, 80), np.array([0.0, 0.5, 0.5, 0.5, 0.5]))
+    assert met.tolist() == [True, True, True, False, False]
+    assert np.isnan(x[3:]).all()
+    inside = np.column_stack([x[:3], np.ones(3)])
+    np.testing.assert_allclose((lines[:3] * inside).sum(axis=1), 0, atol=1e-9)
+    assert x[0, 1] in (0.0, 79.0)
+    assert x[1, 0] == pytest.approx(49.5)
+    np.testing.assert_allclose(x[2], [5, 5])
+
+
+def test_pose_of_the_true_matrix_is_exact_and_of_others_off_by_what_they_are():
+    pair = cameras()
+    points = seen(pair)
+    for F in (pair_F := fundamental_from_cameras(*pair), -pair_F):
+        assert max(pose_errors(F, pair, *points)) < 1e-5
+    turned = cameras(angle=21.0)
+    rotation_deg, _ = pose_errors(fundamental_from_cameras(*turned), pair, *seen(turned))
+    assert rotation_deg == pytest.approx(6.0, abs=1e-4)
+    t, moved = np.array([-2.0, 0.3, 0.4]), np.array([-2.0, 1.3, 0.4])
+    _, translation_deg = pose_errors(fundamental_from_cameras(*cameras(t=moved)), pair, *seen(cameras(t=moved)))
+    cosine = t @ moved / np.linalg.norm(t) / np.linalg.norm(moved)
+    assert translation_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=1e-4)
+
+
+def test_an_estimate_is_measured_whatever_the_verdict_says(tmp_path):
+    first, second = cameras()
+    F = fundamental_from_cameras(first, second)
+    x1, x2 = seen((first, second))
+    pair = Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=first, camera2=second, difficulty="")
+    truth = Truth(labels="3D", points="cameras", x1=x1, x2=x2, F=F)
+    none = np.zeros(len(x1), np.bool_)
+    turned_down = FundamentalEstimate(
+        status=Status.DEGENERATE, F=None, raw_F=F, x1=x1, x2=x2, inliers=none, support=0, estimator="usac"
+    )
+    measures = MeasureParams(seed=1, distance_points=50)
+    row = measured(turned_down, pair, truth, measures, threshold_px=1.5)
+    assert row["error_px"] < 1e-6
+    assert row["distance"] < 1e-6
+    assert max(row["rotation_deg"], row["translation_deg"]) < 1e-3
+    row = measured(replace(turned_down, raw_F=None), pair, truth, measures, threshold_px=1.5)
+    assert np.isnan(list(row.values())).all()
+
+
+def test_pose_without_baseline_has_no_translation():
+    pair = cameras(t=(0.0, 0.0, 0.0))
+    F = normalise_fundamental(np.array([[0, -1, 0.1], [1, 0, 0.2], [0.3, 0.1, 0]]))
+    assert np.isnan(pose_errors(F, pair, *seen(cameras()))[1])
+
+
+def test_control_points_on_a_plane_decide_nothing():
+    rng = np.random.default_rng(0)
+    x1 = rng.uniform(0, 500, (40, 2))
+    x2 = x1 @ np.array([[0.9, 0.1], [-0.1, 1.1]]) + [20, -10] + rng.normal(0, 0.5, (40, 2))
+    assert on_one_plane(x1, x2, 4.0)
+    assert on_one_plane(x1[:4], x2[:4], 4.0)
+    beside = x2.copy()
+    beside[:2] += 40
+    assert on_one_plane(x1, beside, 4.0)
+    beside[:5, 0] += 60 * np.arange(1, 6)
+    assert not on_one_plane(x1, beside, 4.0)
+
+
+def test_splits_follow_the_share_of_right_matches():
+    found = [split_of(share, easy=0.5, hard=0.2) for share in (0.51, 0.5, 0.2, 0.19, np.nan)]
+    assert found == ["easy", "medium", "medium", "hard", "unlabelled"]

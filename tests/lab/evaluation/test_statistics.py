@@ -1,0 +1,142 @@
+"""Measures against naive computations written with loops."""
+
+import math
+
+import numpy as np
+import pytest
+
+from epiprior.errors import SettingsError
+from epiprior_lab.evaluation import statistics as st
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def test_contribution_is_the_papers():
+    np.testing.assert_allclose(st.contribution(27.0, 91.6), 2.3926, atol=1e-4)
+    np.testing.assert_allclose(st.contribution([10, 0, 0], [5, 3, 0]), [-0.5, np.inf, 0])
+
+
+def test_weights_by_pair_are_multinomial():
+    weights = st.bootstrap_weights(6, draws=4000, seed=1)
+    counts = weights * 6
+    np.testing.assert_allclose(counts, np.rint(counts), atol=1e-9)
+    np.testing.assert_allclose(weights.sum(axis=1), 1)
+    np.testing.assert_allclose(counts.mean(axis=0), 1, atol=0.06)
+    np.testing.assert_allclose(counts.var(axis=0), 5 / 6, atol=0.08)
+
+
+def test_weights_by_scene_draw_whole_scenes():
+    groups = ["b", "a", "b", "c", "c", "c"]
+    weights = st.bootstrap_weights(6, draws=300, seed=2, groups=groups)
+    for row in weights:
+        assert row[0] == row[2]
+        assert row[3] == row[4] == row[5]
+        counts = np.rint(row[[1, 0, 3]] / row[row > 0].min())
+        size = counts @ [1, 2, 3]
+        np.testing.assert_allclose(row[[1, 0, 3]], counts / size)
+    assert (weights[:, 1] == 0).any()
+
+
+def test_intervals_equal_a_naive_bootstrap(rng):
+    without, with_step = rng.integers(0, 6, (2, 9)) / 5
+    got = st.paired_bootstrap(without, with_step, draws=500, seed=7)
+    counts = np.random.default_rng(7).multinomial(9, np.full(9, 1 / 9), size=500)
+    a, b, c = [], [], []
+    for draw in counts:
+        sample = [i for i in range(9) for _ in range(draw[i])]
+        a.append(sum(without[i] for i in sample) / 9)
+        b.append(sum(with_step[i] for i in sample) / 9)
+        c.append((b[-1] - a[-1]) / a[-1])
+    for interval, samples, value in (
+        (got.without, a, without.mean()),
+        (got.with_step, b, with_step.mean()),
+        (got.difference, np.subtract(b, a), with_step.mean() - without.mean()),
+        (got.contribution, c, with_step.mean() / without.mean() - 1),
+    ):
+        ordered = sorted(samples)
+        assert interval.value == pytest.approx(value)
+        assert interval.low == pytest.approx(ordered[math.ceil(0.025 * 500) - 1])
+        assert interval.high == pytest.approx(ordered[math.ceil(0.975 * 500) - 1])
+    assert st.bootstrap_mean(without, draws=500, seed=7) == got.without
+
+
+def test_scene_interval_is_wider_for_alike_pairs():
+    values = np.repeat([0.0, 1.0, 1.0, 0.0, 1.0], 8)
+    scenes = [str(i // 8) for i in range(40)]
+    by_pair = st.bootstrap_mean(values, draws=2000, seed=0)
+    by_scene = st.bootstrap_mean(values, draws=2000, seed=0, groups=scenes)
+    assert by_scene.high - by_scene.low > 2 * (by_pair.high - by_pair.low)
+
+
+def test_contribution_over_no_success_is_infinite_not_nan():
+    got = st.paired_bootstrap([0, 0, 0], [1, 0, 1], draws=200, seed=0)
+    assert got.contribution.value == got.contribution.high == np.inf
+    assert not math.isnan(got.contribution.low)
+
+
+@pytest.mark.parametrize(
+    ("call", "culprit"),
+    [
+        (lambda: st.bootstrap_weights(0, draws=5, seed=0), "0 observations"),
+        (lambda: st.bootstrap_weights(2, draws=5, seed=0, groups=["a"]), "1 groups"),
+        (lambda: st.paired_bootstrap([1], [1, 2], draws=5, seed=0), r"\(1,\) and \(2,\)"),
+        (lambda: st.calibration_bins(np.array([1.2]), np.array([True])), "1.2"),
+        (lambda: st.calibration_bins(np.array([np.nan]), np.array([True])), "nan"),
+    ],
+)
+def test_bad_input_names_the_culprit(call, culprit):
+    with pytest.raises(SettingsError, match=culprit):
+        call()
+
+
+def test_success_curve(rng):
+    errors = rng.exponential(5, (30, 4))
+    errors[3, 2], errors[4, 0] = np.nan, np.inf
+    thresholds = np.array([0.5, 3, 10, 1e9])
+    mean, deviation = st.success_curve(errors, thresholds)
+    for t, m, d in zip(thresholds, mean, deviation, strict=True):
+        counts = [sum(1 for p in range(30) if errors[p, s] < t) for s in range(4)]
+        assert m == pytest.approx(sum(counts) / 4)
+        assert d == pytest.approx(math.sqrt(sum((c - m) ** 2 for c in counts) / 3))
+    assert mean[-1] == pytest.approx((30 * 4 - 2) / 4)
+    np.testing.assert_array_equal(st.success_curve(errors[:, :1], thresholds)[1], 0)
+    assert not st.successes([10.0], 10.0)[0]
+
+
+def test_area_is_the_integral_of_the_curve(rng):
+    errors = np.append(rng.exponential(6, 40), [np.inf, np.nan])
+    grid = (np.arange(20_000) + 0.5) / 2000
+    naive = np.mean([(errors < t).mean() for t in grid])
+    assert st.area_under_success_curve(errors, 10.0) == pytest.approx(naive, abs=1e-3)
+
+
+def test_ranking_measures(rng):
+    right = rng.random(300) < 0.3
+    precisions = [sum(right[: i + 1]) / (i + 1) for i in range(300) if right[i]]
+    assert st.average_precision(right) == pytest.approx(sum(precisions) / len(precisions))
+    assert st.average_precision(np.zeros(4, bool)) == 0
+    assert st.precision_at(right, 100) == sum(right[:100]) / 100
+    assert st.precision_at(right, 500) == sum(right) / 500
+    ranks = st.log_ranks(1000)
+    assert ranks[0] == 1
+    assert ranks[-1] == 1000
+    assert (np.diff(ranks) > 0).all()
+    np.testing.assert_array_equal(st.right_among_first(right, ranks), [sum(right[:r]) for r in ranks])
+    np.testing.assert_array_equal(st.log_ranks(1), [1])
+
+
+def test_calibration_bins(rng):
+    p = np.append(rng.random(500), [0.0, 1.0])
+    right = rng.random(502) < p**2
+    bins = st.calibration_bins(p, right, bins=10)
+    assert bins.brier_score == pytest.approx(np.mean([(a - b) ** 2 for a, b in zip(p, right, strict=True)]))
+    error = 0.0
+    for b in range(10):
+        inside = [i for i in range(502) if b / 10 <= p[i] < (b + 1) / 10 or (b == 9 and p[i] == 1)]
+        assert bins.count[b] == len(inside)
+        error += len(inside) / 502 * abs(np.mean(p[inside]) - np.mean(right[inside]))
+    assert bins.expected_calibration_error == pytest.approx(error)
+    assert math.isnan(st.calibration_bins(np.empty(0), np.empty(0, bool)).brier_score)

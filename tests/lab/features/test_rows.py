@@ -1,0 +1,65 @@
+"""Training rows: presets share what is detected and how matches are labelled, and nothing changes by it."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+import epiprior.matching.pair
+from epiprior.matching.pair import prepare_pair, roll_hypotheses
+from epiprior.presets import find_preset
+from epiprior.ranking import hypothesis
+from epiprior_lab.features import detection, rows
+from epiprior_lab.labels.ground_truth import label_matches
+from epiprior_lab.pairsets import Pair
+from pictures import relief_pair, save
+
+PRESETS = ("paper", "default")
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("relief")
+    left, right = relief_pair()
+    np.savetxt(folder / "F.txt", [[0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    return Pair(
+        pair_id="relief-0", scene="relief", image1=save(folder / "1.png", left), image2=save(folder / "2.png", right),
+        camera1=None, camera2=None, difficulty="", fundamental_path=folder / "F.txt",
+    )  # fmt: skip
+
+
+def equal(a, b):
+    return all(np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+
+
+def test_presets_together_give_what_each_gives_alone(pair, monkeypatch):
+    alone = {name: [rows.rows_to_bytes(each) for each in rows.extract_rows(pair, (name,))[name]] for name in PRESETS}
+    detected = []
+    detect_features = detection.detect_features
+
+    def counted(photograph, settings):
+        detected.append(photograph)
+        return detect_features(photograph, settings)
+
+    monkeypatch.setattr(detection, "detect_features", counted)
+    monkeypatch.setattr(epiprior.matching.pair, "detect_features", None)
+    together = rows.extract_rows(pair, PRESETS)
+    assert len(detected) == 2
+    assert {name: [rows.rows_to_bytes(each) for each in tables] for name, tables in together.items()} == alone
+    assert [len(together[name]) for name in PRESETS] == [2, 1]  # `default` has one roll hypothesis where they agree
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_rows_are_those_of_the_library_with_their_labels(pair, name):
+    settings = find_preset(name)
+    prepared = prepare_pair(pair.image1, pair.image2, settings)
+    found = rows.extract_rows(pair, (name,))[name]
+    assert tuple(each.roll_deg for each in found) == roll_hypotheses(prepared, settings)
+    for each in found:
+        candidates = hypothesis.find_candidates(prepared, each.roll_deg, settings)
+        assert equal(each.frames, candidates.frames)
+        assert equal(each.united.frames, candidates.united.frames)
+        for frames, labels in ((candidates.frames, each.labels), (candidates.united.frames, each.united_labels)):
+            wanted = label_matches(pair, frames.x1, frames.x2, frames.scale1, frames.scale2)
+            np.testing.assert_array_equal(labels, wanted)
+            assert 0 < wanted.sum() < len(wanted)

@@ -1,0 +1,464 @@
+"""Importers of published pairs: small samples in the original formats, made here."""
+
+import cv2
+import numpy as np
+import pytest
+import scipy.io
+from typer.testing import CliRunner
+
+from epiprior.errors import EpipriorError, OutputError
+from epiprior.geometry import normalise_fundamental, sampson_distance
+from epiprior_lab.cli import app
+from epiprior_lab.labels.ground_truth import label_matches, reference_fundamental
+from epiprior_lab.pairsets import DatasetError, fundamental_from_cameras, known_sets, read_pair_set, transfer
+from epiprior_lab.pairsets.importers import (
+    FoundPair,
+    Photograph,
+    find_adelaidermf,
+    find_hpatches,
+    find_kusvod2,
+    find_oxford,
+    find_pairs,
+    find_usac,
+    write_found,
+)
+from epiprior_lab.pairsets.importers.output import shrinking
+from epiprior_lab.pairsets.importers.text import read_rows
+from pictures import save, texture
+from worlds import camera_at
+
+WIDTH, HEIGHT = 320, 240
+CAMERAS = camera_at(-1.0), camera_at(1.5, roll_deg=10)
+H = np.array([[0.9, 0.05, 12.0], [-0.04, 1.02, 5.0], [1e-4, -5e-5, 1.0]])
+
+
+def matches(count=30, seed=0):
+    """Return points that both cameras see, at depths that lie on no plane."""
+    rng = np.random.default_rng(seed)
+    x1 = np.column_stack([rng.uniform(80, 240, count), rng.uniform(60, 180, count)])
+    x2, _ = CAMERAS[1].project(CAMERAS[0].back_project(x1, rng.uniform(9, 15, count)))
+    return x1, x2
+
+
+def picture(path, seed=0, width=WIDTH, height=HEIGHT):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return save(path, np.dstack([texture(width, height, seed)] * 3))
+
+
+def homogeneous(x1, x2):
+    ones = np.ones(len(x1))
+    return np.vstack([x1.T, ones, x2.T, ones])
+
+
+def lines(rows):
+    return "".join(" ".join(f"{value:.6f}" for value in row) + "\n" for row in rows)
+
+
+def assert_points(pair, x1, x2, tolerance=1e-5):
+    got1, got2 = pair.control_points()
+    np.testing.assert_allclose(got1, x1, atol=tolerance)
+    np.testing.assert_allclose(got2, x2, atol=tolerance)
+
+
+# --- kusvod2
+
+
+@pytest.fixture
+def kusvod2(tmp_path):
+    folder = tmp_path / "kusvod2"
+    picture(folder / "shoutA.png", 1)
+    picture(folder / "shoutB.png", 2)
+    scipy.io.savemat(folder / "shout_vpts.mat", {"validation": {"pts": homogeneous(*matches()), "note": "x"}})
+    return folder
+
+
+def test_kusvod2(kusvod2, tmp_path):
+    (pair,) = write_found(tmp_path / "set", find_kusvod2(kusvod2)).pairs
+    assert (pair.pair_id, pair.scene, pair.difficulty, pair.truth) == (
+        "shout",
+        "shout",
+        "30 manual points",
+        "epipolar",
+    )
+    assert_points(read_pair_set(tmp_path / "set").pairs[0], *matches())
+    assert (tmp_path / "set/images/shoutA.png").read_bytes() == (kusvod2 / "shoutA.png").read_bytes()
+
+
+def test_kusvod2_with_coordinates_from_one(kusvod2, tmp_path):
+    write_found(tmp_path / "set", find_kusvod2(kusvod2, origin=1))
+    assert_points(read_pair_set(tmp_path / "set").pairs[0], *(x - 1 for x in matches()))
+
+
+def test_damage_of_kusvod2_is_named(kusvod2):
+    path = kusvod2 / "shout_vpts.mat"
+    content = path.read_bytes()
+    path.write_bytes(content[:200])
+    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: cannot be read as a MATLAB file"):
+        find_kusvod2(kusvod2)
+    scipy.io.savemat(path, {"validation": {"pts": np.ones((4, 9))}})
+    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: validation\.pts has shape \(4, 9\)"):
+        find_kusvod2(kusvod2)
+    scipy.io.savemat(path, {"other": 1})
+    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: holds no validation\.pts"):
+        find_kusvod2(kusvod2)
+    path.write_bytes(content)
+    (kusvod2 / "shoutB.png").unlink()
+    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: no image .*shoutB"):
+        find_kusvod2(kusvod2)
+
+
+# --- AdelaideRMF
+
+
+def labelled():
+    """Return right matches with labels 1 and 2 among wrong ones with label 0."""
+    x1, x2 = matches(40)
+    labels = np.tile([1, 0, 2, 2], 10)
+    x2 = np.where(labels[:, None] == 0, x2[::-1], x2)
+    return x1, x2, labels
+
+
+def test_adelaidermf_from_mat(tmp_path):
+    x1, x2, labels = labelled()
+    colour = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    colour[:, :, 0] = 250  # red, as MATLAB orders colours
+    (tmp_path / "mat").mkdir()
+    scipy.io.savemat(
+        tmp_path / "mat/hall.mat",
+        {"img1": colour, "img2": colour, "data": homogeneous(x1, x2), "score": np.ones((1, 40)), "label": labels},
+    )
+    (pair,) = write_found(tmp_path / "set", find_adelaidermf(tmp_path / "mat")).pairs
+    assert (pair.pair_id, pair.difficulty) == ("hall", "30 labelled matches, 2 planes")
+    (pair,) = read_pair_set(tmp_path / "set").pairs
+    assert_points(pair, x1[labels > 0], x2[labels > 0])
+    blue, _, red = cv2.imread(str(pair.image1))[5, 5]
+    assert red > 200
+    assert blue < 50
+
+
+def test_adelaidermf_from_labelled_text(tmp_path):
+    x1, x2, labels = labelled()
+    folder = tmp_path / "text"
+    picture(folder / "hallA.png")
+    picture(folder / "hallB.png", 1)
+    (folder / "hall_pts.txt").write_text(lines(np.vstack([homogeneous(x1, x2), labels]).T))
+    write_found(tmp_path / "set", find_adelaidermf(folder))
+    (pair,) = read_pair_set(tmp_path / "set").pairs
+    assert_points(pair, x1[labels > 0], x2[labels > 0])
+    F = fundamental_from_cameras(*CAMERAS)
+    assert sampson_distance(F, *pair.control_points()).max() < 1e-4
+
+
+def test_matches_of_one_plane_are_called_so(tmp_path):
+    x1, _ = matches(30)
+    folder = tmp_path / "text"
+    picture(folder / "flatA.png")
+    picture(folder / "flatB.png", 1)
+    (folder / "flat_pts.txt").write_text(lines(np.vstack([homogeneous(x1, transfer(H, x1)), np.ones(30)]).T))
+    (pair,) = find_adelaidermf(folder)
+    assert pair.difficulty == "30 labelled matches, 1 plane; all on one plane: they decide no F"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("1 2 1 3 4 1 1\n1 2 1 3 four 1 1\n", r"hall_pts\.txt, line 2: 'four' is not a finite number"),
+        ("1 2 1 3 4 1\n", r"hall_pts\.txt, line 1: 6 numbers, expected 7"),
+        ("1 2 1 3 4 1 0\n", r"hall_pts\.txt: no match is labelled as right"),
+    ],
+)
+def test_damage_of_labelled_text_is_named(tmp_path, content, message):
+    picture(tmp_path / "hallA.png")
+    picture(tmp_path / "hallB.png")
+    (tmp_path / "hall_pts.txt").write_text(content)
+    with pytest.raises(DatasetError, match=message):
+        find_adelaidermf(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"label": np.ones(7)}, r"hall\.mat: 7 labels for 40 matches"),
+        ({"data": np.full((6, 40), np.nan)}, r"hall\.mat: data holds a value that is not finite"),
+        ({"img2": np.zeros((4, 5))}, r"hall\.mat: img2 is no 8-bit image"),
+        ({"img1": None}, r"hall\.mat: holds no img1"),
+    ],
+)
+def test_damage_of_adelaidermf_is_named(tmp_path, change, message):
+    x1, x2, labels = labelled()
+    grey = np.zeros((HEIGHT, WIDTH), np.uint8)
+    content = {"img1": grey, "img2": grey, "data": homogeneous(x1, x2), "label": labels} | change
+    scipy.io.savemat(tmp_path / "hall.mat", {name: value for name, value in content.items() if value is not None})
+    with pytest.raises(DatasetError, match=message):
+        find_adelaidermf(tmp_path)
+
+
+# --- homographies
+
+
+@pytest.mark.parametrize(
+    ("find", "stem", "file"), [(find_oxford, "img{}.ppm", "H1to{}p"), (find_hpatches, "{}.ppm", "H_1_{}")]
+)
+def test_sequences_of_a_plane(find, stem, file, tmp_path):
+    scene = tmp_path / "all/v_graf"
+    for number in (1, 2, 3):
+        picture(scene / stem.format(number), number)
+    for number in (2, 3):
+        (scene / file.format(number)).write_text(lines(H * number))
+    write_found(tmp_path / "set", find(tmp_path / "all"))
+    pairs = read_pair_set(tmp_path / "set").pairs
+    assert [(pair.pair_id, pair.scene, pair.difficulty) for pair in pairs] == [
+        ("v_graf_1_2", "v_graf", "viewpoint"),
+        ("v_graf_1_3", "v_graf", "viewpoint"),
+    ]
+    assert len(list((tmp_path / "set/images").iterdir())) == 3
+    pair = pairs[0]
+    assert pair.truth == "plane"
+    np.testing.assert_allclose(pair.homography() * 2 / pair.homography()[2, 2], H * 2, rtol=1e-5, atol=1e-5)
+    x1, x2 = pair.control_points()
+    assert len(x1) > 50
+    sigma = np.full(len(x1), 2.0)
+    assert label_matches(pair, x1, x2, sigma, sigma).all()
+    assert not label_matches(pair, x1, x2 + [4.0, 0.0], sigma, sigma).any()
+    with pytest.raises(DatasetError, match="decide no fundamental"):
+        reference_fundamental(pair)
+
+
+def test_damage_of_homographies_is_named(tmp_path):
+    for number in (1, 2):
+        picture(tmp_path / f"img{number}.ppm", number)
+    for content, message in (
+        ("1 0 0\n0 1\n0 0 1\n", r"H1to2p, line 2: '0 1' are not three finite numbers"),
+        ("1 0 0\n0 1 0\n", r"H1to2p: 2 rows of a matrix, expected 3"),
+        ("1 0 0\n1 0 0\n0 0 1\n", r"H1to2p: the matrix is singular"),
+    ):
+        (tmp_path / "H1to2p").write_text(content)
+        with pytest.raises(DatasetError, match=message):
+            find_oxford(tmp_path)
+    (tmp_path / "H1to2p").write_text("1 0 5000\n0 1 0\n0 0 1\n")
+    with pytest.raises(DatasetError, match=r"takes no point of .*img1\.ppm into .*img2\.ppm"):
+        write_found(tmp_path / "set", find_oxford(tmp_path))
+    (tmp_path / "img2.ppm").unlink()
+    with pytest.raises(DatasetError, match=r"H1to2p: no image .*img2"):
+        find_oxford(tmp_path)
+    with pytest.raises(DatasetError, match="no homography with a name"):
+        find_hpatches(tmp_path)
+
+
+# --- USAC
+
+
+@pytest.fixture
+def usac(tmp_path):
+    folder = tmp_path / "fundmatrix/test1"
+    for name in ("im1.jpg", "im2.jpg"):
+        picture(folder / name)
+    x1, x2 = matches(80)
+    x2[60:] = x2[60:][::-1]
+    (folder / "orig_pts.txt").write_text("80\n" + lines(np.hstack([x1, x2])))
+    return tmp_path / "fundmatrix"
+
+
+def test_usac_needs_points_by_hand(usac, tmp_path):
+    with pytest.raises(DatasetError, match=r"no ground truth.*epiprior-lab label .*im1\.jpg .*im2\.jpg --out POINTS"):
+        find_usac(usac)
+    x1, x2 = matches(16, seed=1)
+    (tmp_path / "points").mkdir()
+    (tmp_path / "points/test1.csv").write_text("x1,y1,x2,y2\n" + lines(np.hstack([x1, x2])).replace(" ", ","))
+    write_found(tmp_path / "set", find_usac(usac, points=tmp_path / "points"))
+    (pair,) = read_pair_set(tmp_path / "set").pairs
+    assert pair.difficulty == "points by hand; 80 matches"
+    assert_points(pair, x1, x2)
+
+
+def test_usac_fitted_to_its_matches_says_so(usac):
+    (pair,) = find_usac(usac, fit=True)
+    assert pair.difficulty.startswith("fitted")
+    assert 55 <= len(pair.points[0]) <= 66
+    assert np.median(sampson_distance(fundamental_from_cameras(*CAMERAS), *pair.points)) < 0.01
+
+
+def test_damage_of_usac_is_named(usac):
+    path = usac / "test1/orig_pts.txt"
+    path.write_text(path.read_text().replace("80\n", "81\n", 1))
+    with pytest.raises(DatasetError, match=r"orig_pts\.txt: line 1 announces 81 rows, there are 80"):
+        find_usac(usac, fit=True)
+    (usac / "test1/im2.jpg").unlink()
+    with pytest.raises(DatasetError, match=r"orig_pts\.txt: no image .*im2\.jpg"):
+        find_usac(usac)
+
+
+# --- lists of pairs
+
+
+@pytest.fixture
+def listed(tmp_path):
+    folder = tmp_path / "list"
+    for number in (1, 2, 3):
+        picture(folder / f"object0041.view0{number}.png", number)
+    x1, x2 = matches(12)
+    (folder / "a.txt").write_text("% x1 y1 x2 y2\n" + lines(np.hstack([x1, x2])).replace(" ", "\t"))
+    (folder / "left.txt").write_text(lines(x1))
+    (folder / "right.txt").write_text(lines(x2))
+    (folder / "pairs.csv").write_text(
+        "image1,image2,points,points2\n"
+        "object0041.view01.png,object0041.view02.png,a.txt,\n"
+        "object0041.view01.png,object0041.view03.png,left.txt,right.txt\n"
+    )
+    return folder
+
+
+def test_lists_of_pairs(listed, tmp_path):
+    write_found(tmp_path / "set", find_pairs(listed / "pairs.csv"))
+    pairs = read_pair_set(tmp_path / "set").pairs
+    assert [pair.pair_id for pair in pairs] == [
+        "object0041.view01_object0041.view02",
+        "object0041.view01_object0041.view03",
+    ]
+    for pair in pairs:
+        assert_points(pair, *matches(12))
+
+
+def test_a_known_set_has_its_number_of_pairs_and_knows_scenes(listed, monkeypatch):
+    with pytest.raises(DatasetError, match=r"pairs\.csv: 2 pairs, ZuBuD1 has 137"):
+        find_pairs(listed / "pairs.csv", known="zubud1")
+    with pytest.raises(DatasetError, match=r"unknown set 'zubud'; there are zubud1"):
+        find_pairs(listed / "pairs.csv", known="zubud")
+    zubud = next(known for known in known_sets() if known.name == "zubud2")
+    assert zubud.scene("object0041.view01") == "object0041"
+    assert next(known for known in known_sets() if known.name == "blogs").scene("corridor1") == "corridor"
+
+
+@pytest.mark.parametrize("kind", ["homography", "fundamental"])
+def test_lists_with_matrices_that_count_from_one(listed, tmp_path, kind):
+    x1, x2 = matches(12)
+    given = H if kind == "homography" else fundamental_from_cameras(*CAMERAS)
+    shift = np.array([[1.0, 0, 1], [0, 1, 1], [0, 0, 1]])
+    back = np.linalg.inv(shift)
+    from_one = shift @ given @ back if kind == "homography" else back.T @ given @ back
+    # A matrix of a large scale, all digits
+    np.savetxt(listed / "m.txt", 1e3 * from_one)
+    (listed / "m.csv").write_text(f"image1,image2,{kind}\nobject0041.view01.png,object0041.view02.png,m.txt\n")
+    write_found(tmp_path / "set", find_pairs(listed / "m.csv", origin=1.0))
+    (pair,) = read_pair_set(tmp_path / "set").pairs
+    if kind == "homography":
+        np.testing.assert_allclose(transfer(pair.homography(), x1), transfer(H, x1), atol=1e-6)
+    else:
+        assert pair.truth == "epipolar"
+        assert sampson_distance(reference_fundamental(pair), x1, x2).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("gone.png,object0041.view02.png,a.txt", r"t\.csv, line 2: no image .*gone\.png"),
+        ("object0041.view01.png,object0041.view02.png,", r"t\.csv, line 2: none of points, homography, fundamental"),
+        ("object0041.view01.png,object0041.view02.png,gone.txt", r"gone\.txt: cannot be read"),
+        ("object0041.view01.png,object0041.view02.png", r"t\.csv, line 2: 2 values for 3 columns"),
+    ],
+)
+def test_damage_of_lists_is_named(listed, row, message):
+    (listed / "t.csv").write_text(f"image1,image2,points\n{row}\n")
+    with pytest.raises(DatasetError, match=message):
+        find_pairs(listed / "t.csv")
+
+
+def test_points_that_fit_no_given_matrix_are_found_when_the_set_is_written(listed, tmp_path):
+    np.savetxt(listed / "F.txt", fundamental_from_cameras(*CAMERAS[::-1]))  # images in the other order
+    (listed / "t.csv").write_text(
+        "image1,image2,points,fundamental\nobject0041.view01.png,object0041.view02.png,a.txt,F.txt\n"
+    )
+    with pytest.raises(
+        DatasetError, match=r"pairs\.csv, line 2: the F .*view02\.txt of pair .* does not fit .*view02\.csv"
+    ):
+        write_found(tmp_path / "set", find_pairs(listed / "t.csv"))
+    assert not (tmp_path / "set").exists()
+
+
+# --- text, sizes, writing
+
+
+def test_rows_of_text_in_several_spellings(tmp_path):
+    path = tmp_path / "t.txt"
+    for content in ("x1 y1 x2 y2\n1, 2, 3, 4\n", "# a\n1;2;3;4\n\n", "1\n1\t2\t3\t4\n", "\ufeff1 2 3 4"):
+        path.write_text(content)
+        np.testing.assert_array_equal(read_rows(path, (4,))[0], [[1, 2, 3, 4]])
+    path.write_text("")
+    assert read_rows(path, (4, 6))[0].shape == (0, 4)
+    path.write_text("1 2 3 4\n1 2 3 4 5 6\n")
+    with pytest.raises(DatasetError, match="line 2: 6 numbers, expected 4"):
+        read_rows(path, (4, 6))
+    path.write_text("1 2 nan 4\n")
+    with pytest.raises(DatasetError, match="line 1: 'nan'"):
+        read_rows(path, (4,))
+
+
+def test_smaller_images_take_everything_with_them(tmp_path):
+    picture(tmp_path / "a.png", 1, 640, 480)
+    picture(tmp_path / "b.png", 2, 320, 240)
+    x1, x2 = matches()
+    large1 = transfer(shrinking((320, 240), (640, 480)), x1)
+    F = fundamental_from_cameras(*CAMERAS)
+    grow = np.linalg.inv(shrinking((320, 240), (640, 480)))
+    pair = FoundPair(
+        pair_id="p",
+        scene="s",
+        image1=Photograph(name="a", path=tmp_path / "a.png"),
+        image2=Photograph(name="b", path=tmp_path / "b.png"),
+        points=(large1, x2),
+        fundamental=F @ grow,
+    )
+    write_found(tmp_path / "set", [pair], max_side=320)
+    (got,) = read_pair_set(tmp_path / "set").pairs
+    assert got.sizes() == ((320, 240), (320, 240))
+    assert_points(got, x1, x2)
+    np.testing.assert_allclose(got.fundamental(), normalise_fundamental(F), atol=1e-9)
+
+
+def test_shrinking_keeps_corners():
+    to_small = shrinking((640, 480), (320, 120))
+    np.testing.assert_allclose(
+        transfer(to_small, np.array([[-0.5, -0.5], [639.5, 479.5]])), [[-0.5, -0.5], [319.5, 119.5]]
+    )
+
+
+def test_a_pair_set_is_not_overwritten_and_photographs_do_not_share_a_name(kusvod2, tmp_path):
+    with pytest.raises(OutputError, match="exists already"):
+        write_found(kusvod2, find_kusvod2(kusvod2))
+    (pair,) = find_kusvod2(kusvod2)
+    same = FoundPair(
+        pair_id="other", scene="s", image1=Photograph(name="shoutA", path=pair.image2.path), image2=pair.image2,
+        points=pair.points,
+    )  # fmt: skip
+    with pytest.raises(DatasetError, match=r"shoutA\.png and .*shoutB\.png would both become images/shoutA\.png"):
+        write_found(tmp_path / "set", [pair, same])
+    with pytest.raises(DatasetError, match="no pair was found"):
+        write_found(tmp_path / "none", [])
+
+
+# --- commands
+
+
+def test_commands(kusvod2, tmp_path):
+    run = CliRunner().invoke(app, ["import", "kusvod2", str(kusvod2), "--out", str(tmp_path / "real/kusvod2")])
+    assert run.exit_code == 0, run.output
+    assert "1 pair of 1 scene" in run.stdout
+    run = CliRunner().invoke(app, ["check-set", str(tmp_path / "real/kusvod2")])
+    assert "1 pair of 1 scene, truth: epipolar" in run.stdout
+    run = CliRunner().invoke(app, ["sets", str(tmp_path / "real")])
+    assert run.stdout.count("not present") == len(known_sets()) - 1
+    assert str(sum(known.pairs for known in known_sets(paper=True))) == "883"
+    for source in ("colmap", "strecha", "adelaidermf", "oxford", "hpatches", "usac", "pairs", "photos"):
+        run = CliRunner().invoke(app, ["import", source, str(tmp_path / "nowhere"), "--out", str(tmp_path / "x")])
+        assert isinstance(run.exception, EpipriorError), source
+        assert "nowhere" in str(run.exception)
+
+
+def test_check_set_reads_images_too(kusvod2, tmp_path):
+    write_found(tmp_path / "set", find_kusvod2(kusvod2))
+    image = tmp_path / "set/images/shoutB.png"
+    image.write_bytes(image.read_bytes()[:200])
+    read_pair_set(tmp_path / "set")
+    run = CliRunner().invoke(app, ["check-set", str(tmp_path / "set")])
+    assert isinstance(run.exception, DatasetError)
+    assert "shoutB.png" in str(run.exception)

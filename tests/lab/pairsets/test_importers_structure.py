@@ -1,0 +1,289 @@
+"""Importers that work on structure from motion: COLMAP models, Strecha's cameras, one's own photographs."""
+
+import itertools
+import logging
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+
+from epiprior.errors import SettingsError
+from epiprior.geometry import sampson_distance
+from epiprior_lab.pairsets import Camera, DatasetError, fundamental_from_cameras, read_pair_set, reproject
+from epiprior_lab.pairsets.importers import PairChoice, find_colmap, find_photos, find_strecha, write_found
+from epiprior_lab.pairsets.importers.strecha import read_camera
+from epiprior_lab.scenes.camera_pairs import look_at
+from epiprior_lab.scenes.render import render_image
+from epiprior_lab.scenes.world import Frame, WorldBuilder, box
+from pictures import save, texture
+from worlds import OVERCAST_FROM_ASIDE, coloured, no_shadows
+
+# --- COLMAP models
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory):
+    """Return a workspace with an exact model of six distorted photographs."""
+    root = tmp_path_factory.mktemp("colmap") / "yard"
+    pycolmap.set_random_seed(0)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 6, 150
+    options.camera_width, options.camera_height = 320, 240
+    options.camera_params = [400.0, 160.0, 120.0, 0.05]
+    model = pycolmap.synthesize_dataset(options)
+    (root / "sparse/0").mkdir(parents=True)
+    (root / "images").mkdir()
+    model.write_binary(root / "sparse/0")
+    for number, image in enumerate(model.images.values()):
+        save(root / "images" / image.name, texture(320, 240, number))
+    return root
+
+
+@pytest.fixture
+def model(workspace, tmp_path):
+    """Return a copy of the model as text and as binary files."""
+    for kind in ("binary", "text"):
+        (tmp_path / kind).mkdir()
+        getattr(pycolmap.Reconstruction(workspace / "sparse/0"), f"write_{kind}")(tmp_path / kind)
+    return tmp_path
+
+
+def test_colmap_cameras_are_undistorted_and_count_from_zero(workspace, tmp_path):
+    choice = PairChoice(min_angle_deg=5, max_angle_deg=175)
+    write_found(tmp_path / "set", find_colmap(workspace, choice=choice))
+    pairs = read_pair_set(tmp_path / "set").pairs
+    assert len(pairs) >= 6
+    model = pycolmap.Reconstruction(workspace / "sparse/0")
+    images = {image.name.removesuffix(".png"): image for image in model.images.values()}
+    pair = pairs[0]
+    assert (pair.scene, pair.truth) == ("yard", "epipolar")
+    x1, x2 = pair.control_points()
+    assert len(x1) >= 12
+    assert sampson_distance(pair.fundamental(), x1, x2).max() < 1e-3
+    # Where the model sees its points, after distortion and half a pixel, is where ours says.
+    for image_path, camera in ((pair.image1, pair.camera1), (pair.image2, pair.camera2)):
+        image = images[image_path.stem]
+        seen = [point for point in image.points2D if point.has_point3D()]
+        world = np.array([model.points3D[point.point3D_id].xyz for point in seen])
+        rays = image.camera.cam_from_img(np.array([point.xy for point in seen]))
+        ours, _ = camera.project(world)
+        theirs = np.column_stack([rays, np.ones(len(rays))]) @ camera.K.T
+        np.testing.assert_allclose(ours, theirs[:, :2], atol=1e-3)
+        assert abs(camera.K[0, 2] - (camera.width / 2 - 0.5)) < 1e-6
+        assert cv2.imread(str(image_path)).shape[:2] == (camera.height, camera.width)
+
+
+def test_undistorted_pixels_belong_to_undistorted_cameras(workspace, tmp_path):
+    """A line of the world, bent in the photograph, is straight afterwards, where the camera says."""
+    model = pycolmap.Reconstruction(workspace / "sparse/0")
+    image = min(model.images.values(), key=lambda image: image.name)
+    pixels = np.zeros((240, 320, 3), np.uint8)
+    y, x = np.mgrid[:240, :320]
+    rays = image.camera.cam_from_img(np.column_stack([x.ravel() + 0.5, y.ravel() + 0.5]))
+    pixels[(np.abs(rays[:, 1] + 0.24) < 0.008).reshape(240, 320)] = 255
+    (tmp_path / "images").mkdir()
+    for other in model.images.values():
+        cv2.imwrite(str(tmp_path / "images" / other.name), pixels)
+    found = find_colmap(
+        workspace / "sparse/0", images=tmp_path / "images", choice=PairChoice(min_angle_deg=1, max_angle_deg=179)
+    )
+    photograph = found[0].image1
+    plain = photograph.develop()[:, :, 0].astype(float)
+    rows = np.arange(plain.shape[0])[:, None]
+    middle = (plain * rows).sum(axis=0)[5:-5] / plain.sum(axis=0)[5:-5]
+    wanted = photograph.camera.K[1, 1] * -0.24 + photograph.camera.K[1, 2]
+    np.testing.assert_allclose(middle, wanted, atol=0.4)
+
+
+def test_pairs_are_those_that_are_asked_for(workspace):
+    every = find_colmap(workspace, choice=PairChoice(min_angle_deg=1, max_angle_deg=179))
+    angles = [float(pair.difficulty.split("deg")[0].removeprefix("angle=")) for pair in every]
+    assert len(every) == 15
+    low, high = np.quantile(angles, [0.2, 0.8])
+    some = find_colmap(workspace, choice=PairChoice(min_angle_deg=low, max_angle_deg=high, max_points=20))
+    assert {pair.pair_id for pair in some} == {
+        pair.pair_id for pair, angle in zip(every, angles, strict=True) if low <= angle <= high
+    }
+    assert {len(pair.points[0]) for pair in some} <= set(range(12, 21))
+    few = find_colmap(workspace, choice=PairChoice(min_angle_deg=1, max_angle_deg=179, max_pairs=3))
+    kept = sorted(float(pair.difficulty.split("deg")[0].removeprefix("angle=")) for pair in few)
+    assert (kept[0], kept[-1], len(kept)) == (min(angles), max(angles), 3)
+    with pytest.raises(DatasetError, match="no pair with PairChoice"):
+        find_colmap(workspace, choice=PairChoice(min_shared=1000))
+    for wrong in ({"min_angle_deg": 80}, {"min_overlap": 2}, {"max_pairs": 0}, {"min_shared": 3}):
+        with pytest.raises(SettingsError):
+            PairChoice(**wrong)
+
+
+def test_a_model_of_text_is_the_same(workspace, model):
+    choice = PairChoice(min_angle_deg=5, max_angle_deg=175)
+    ours = find_colmap(workspace, choice=choice)
+    text = find_colmap(model / "text", images=workspace / "images", choice=choice)
+    assert [pair.pair_id for pair in ours] == [pair.pair_id for pair in text]
+    np.testing.assert_allclose(ours[0].points[0], text[0].points[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "keep"), list(itertools.product(["cameras.bin", "images.bin", "points3D.bin"], [5, 0.5, -3]))
+)
+def test_binary_files_that_are_cut_off_are_named(workspace, model, name, keep):
+    path = model / "binary" / name
+    content = path.read_bytes()
+    path.write_bytes(content[: int(len(content) * keep)] if keep == 0.5 else content[:keep])
+    with pytest.raises(DatasetError, match=rf"{name}: damaged"):
+        find_colmap(model / "binary", images=workspace / "images")
+
+
+@pytest.mark.parametrize("name", ["cameras.txt", "images.txt", "points3D.txt"])
+def test_damage_of_text_files_is_named_with_its_line(workspace, model, name):
+    path = model / "text" / name
+    rows = path.read_text().splitlines()
+    first = next(index for index, row in enumerate(rows) if not row.startswith("#"))
+    values = rows[first].split()
+    values[3] = "wide"
+    path.write_text("\n".join([*rows[:first], " ".join(values), *rows[first + 1 :]]) + "\n")
+    with pytest.raises(DatasetError, match=rf"{name}, line {first + 1}: 'wide' is no number"):
+        find_colmap(model / "text", images=workspace / "images")
+    path.write_text("\n".join([*rows[:first], "1 2", *rows[first + 1 :]]) + "\n")
+    with pytest.raises(DatasetError, match=rf"{name}, line {first + 1}: 2 values"):
+        find_colmap(model / "text", images=workspace / "images")
+
+
+def test_what_is_missing_is_named(workspace, tmp_path):
+    with pytest.raises(DatasetError, match="no COLMAP model"):
+        find_colmap(tmp_path)
+    with pytest.raises(DatasetError, match=r"no image .*camera000001"):
+        find_colmap(workspace, images=tmp_path)
+    choice = PairChoice(min_angle_deg=1, max_angle_deg=179)
+    for path in (workspace / "images").iterdir():
+        save(tmp_path / path.name, texture(100, 80))
+    with pytest.raises(DatasetError, match=r"is 100 x 80, its camera in the model 320 x 240"):
+        write_found(tmp_path / "set", find_colmap(workspace, images=tmp_path, choice=choice))
+
+
+# --- photographs of a rendered scene
+
+
+def scene_cameras():
+    eyes = [
+        np.array([7 * np.sin(a), -1.0 - 0.4 * (k % 2), -7 * np.cos(a)])
+        for k, a in enumerate(np.radians([-18, -6, 6, 18]))
+    ]
+    return [look_at(eye, np.array([0, 0.2, -1.0]), roll_deg=0.0, focal_px=280.0, width=320, height=240) for eye in eyes]
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """Return a folder of four views of a crate in a corner."""
+    folder = tmp_path_factory.mktemp("photos") / "crate"
+    folder.mkdir()
+    builder = WorldBuilder(surroundings=np.full((64, 128, 3), 200, np.uint8))
+    wall, floor, crate = (builder.texture(coloured(seed)) for seed in (0, 10, 20))
+    builder.face((-4.0, -4.0, 0.0), (8.0, 0.0, 0.0), (0.0, 8.0, 0.0), wall)
+    builder.face((-4.0, 2.0, 0.0), (8.0, 0.0, 0.0), (0.0, 0.0, -6.0), floor)
+    box(builder, Frame.facing((-1.5, 2.0, -2.0), 0.0), (0.0, 3.0), (0.0, 2.5), (-1.5, 0.0), textures=crate)
+    world = builder.build()
+    for number, camera in enumerate(scene_cameras()):
+        save(folder / f"IMG_{number}.png", render_image(world, camera, OVERCAST_FROM_ASIDE, no_shadows(world)))
+    return folder
+
+
+def assert_epipolar(pair, cameras, tolerance):
+    """Check the F of a pair against points of the world, seen through the cameras that rendered it."""
+    camera1, camera2 = (cameras[int(path.stem[-1])] for path in (pair.image1, pair.image2))
+    x1 = np.random.default_rng(0).uniform((20, 20), (300, 220), (60, 2))
+    x2, _ = reproject(camera1, camera2, x1, np.random.default_rng(1).uniform(4, 8, 60))
+    assert np.median(sampson_distance(pair.fundamental(), x1, x2)) < tolerance
+
+
+def test_photographs_become_pairs_with_cameras(photographs, tmp_path, caplog):
+    save(photographs / "stray.png", np.full((240, 320), 90, np.uint8))
+    with caplog.at_level(logging.WARNING):
+        found = find_photos(photographs)
+    assert "1 photographs fit nowhere: stray.png" in caplog.text
+    (photographs / "stray.png").unlink()
+    write_found(tmp_path / "set", found)
+    pairs = read_pair_set(tmp_path / "set").pairs
+    assert [pair.pair_id for pair in pairs] == [f"IMG_{a}_IMG_{b}" for a, b in itertools.combinations(range(4), 2)]
+    for pair in pairs:
+        assert pair.scene == "crate"
+        assert_epipolar(pair, scene_cameras(), 0.5)
+        assert sampson_distance(pair.fundamental(), *pair.control_points()).max() < 1e-4
+    # A second run gives the same bytes.
+    write_found(tmp_path / "again", find_photos(photographs))
+    for path in sorted((tmp_path / "set").rglob("*.*")):
+        assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "set")).read_bytes(), path
+
+
+def test_too_few_or_broken_photographs_are_named(tmp_path):
+    with pytest.raises(DatasetError, match="0 photographs, expected 3 or more"):
+        find_photos(tmp_path)
+    for name in "abc":
+        (tmp_path / f"{name}.jpg").write_bytes(b"no image")
+    with pytest.raises(DatasetError, match=r"a\.jpg: is no image"):
+        find_photos(tmp_path)
+
+
+# --- Strecha
+
+
+def camera_text(camera: Camera) -> str:
+    rows = [*camera.K, np.zeros(3), *camera.R.T, camera.centre, np.array([camera.width, camera.height])]
+    return "".join(" ".join(f"{value:.12g}" for value in row) + " \n" for row in rows)
+
+
+@pytest.mark.parametrize("layout", ["beside", "apart"])
+def test_strecha(photographs, tmp_path, layout):
+    images, cameras = (tmp_path / "fountain", tmp_path / "fountain")
+    if layout == "apart":
+        images, cameras = images / "images", cameras / "gt_dense_cameras"
+    images.mkdir(parents=True)
+    cameras.mkdir(parents=True, exist_ok=True)
+    for number, camera in enumerate(scene_cameras()):
+        (images / f"IMG_{number}.png").write_bytes((photographs / f"IMG_{number}.png").read_bytes())
+        (cameras / f"IMG_{number}.png.camera").write_text(camera_text(camera))
+    write_found(tmp_path / "set", find_strecha(tmp_path / "fountain"))
+    pairs = read_pair_set(tmp_path / "set").pairs
+    assert len(pairs) == 6
+    for pair in pairs:
+        assert pair.scene == "fountain"
+        assert pair.pair_id.startswith("fountain_IMG_")
+        np.testing.assert_allclose(
+            pair.fundamental(),
+            fundamental_from_cameras(*(scene_cameras()[int(path.stem[-1])] for path in (pair.image1, pair.image2))),
+            atol=1e-7,
+        )
+        assert len(pair.control_points()[0]) >= 12
+
+
+@pytest.mark.parametrize(
+    ("line", "text", "message"),
+    [
+        (2, "1 2", r"a\.png\.camera, line 2: '1 2', expected 3 finite numbers"),
+        (5, "1 0 x", r"a\.png\.camera, line 5: '1 0 x' are not numbers"),
+        (6, "9 9 9", r"a\.png\.camera: R is not a rotation"),
+        (9, "", r"a\.png\.camera: 8 rows, expected 9"),
+    ],
+)
+def test_damage_of_camera_files_is_named(tmp_path, line, text, message):
+    path = tmp_path / "a.png.camera"
+    rows = camera_text(scene_cameras()[0]).splitlines()
+    path.write_text("\n".join(rows))
+    np.testing.assert_allclose(read_camera(path).t, scene_cameras()[0].t, atol=1e-9)
+    rows[line - 1] = text
+    path.write_text("\n".join(rows))
+    with pytest.raises(DatasetError, match=message):
+        read_camera(path)
+
+
+def test_photographs_of_camera_files_are_checked(tmp_path):
+    (tmp_path / "a.png.camera").write_text(camera_text(scene_cameras()[0]))
+    with pytest.raises(DatasetError, match=r"a\.png\.camera: no image"):
+        find_strecha(tmp_path)
+    save(tmp_path / "a.png", texture(100, 80))
+    with pytest.raises(DatasetError, match=r"a\.png\.camera: says 320 x 240, .* is 100 x 80"):
+        find_strecha(tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DatasetError, match=r"no file \*\.camera"):
+        find_strecha(tmp_path / "empty")

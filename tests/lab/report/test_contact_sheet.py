@@ -1,0 +1,52 @@
+"""The contact sheet of rendered pairs."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from epiprior_lab.pairsets import DatasetError, Pair
+from epiprior_lab.report.contact_sheet import _caption, contact_sheet
+
+
+def pair_of(tmp_path, name, colour, shape=(90, 120)):
+    paths = [tmp_path / f"{name}_{k}.png" for k in (1, 2)]
+    for path in paths:
+        cv2.imwrite(str(path), np.full((*shape, 3), colour, np.uint8))
+    return Pair(
+        pair_id=name,
+        scene=name,
+        image1=paths[0],
+        image2=paths[1],
+        camera1=None,
+        camera2=None,
+        difficulty="angle=30.0deg;overlap=0.40",
+    )
+
+
+@pytest.mark.parametrize(("roll", "shown"), [(348, -12), (180, 180), (181, -179), (0, 0), (-7, -7)])
+def test_a_roll_is_at_most_half_a_turn(tmp_path, roll, shown):
+    pair = replace(pair_of(tmp_path, "p", (0, 0, 255)), difficulty=f"overlap=0.50;roll={roll}deg")
+    assert _caption(pair) == f"overlap 0.50   roll {shown}°"
+
+
+def test_every_pair_is_on_the_sheet(tmp_path):
+    colours = [(0, 0, 255), (0, 200, 0), (200, 0, 0)]
+    pairs = [pair_of(tmp_path, f"p{k}", colour) for k, colour in enumerate(colours)]
+    sheets = {"open": pairs[:2], "rolled": [pair_of(tmp_path, "tall", colours[2], (200, 80))]}
+    path = contact_sheet(sheets, tmp_path / "figures" / "sheet.png")
+    image = cv2.imread(str(path)).reshape(-1, 3)
+    for colour in colours:
+        assert (image == colour).all(axis=1).sum() > 2000, colour
+    before = path.read_bytes()
+    assert contact_sheet(sheets, path).read_bytes() == before
+
+
+def test_nothing_to_show_and_unreadable_images_are_errors(tmp_path):
+    with pytest.raises(DatasetError, match="no pairs"):
+        contact_sheet({"open": []}, tmp_path / "sheet.png")
+    pair = pair_of(tmp_path, "p", (9, 9, 9))
+    pair.image2.write_text("no image")
+    with pytest.raises(DatasetError, match=r"p_2\.png"):
+        contact_sheet({"open": [pair]}, tmp_path / "sheet.png")

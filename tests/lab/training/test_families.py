@@ -1,0 +1,158 @@
+import warnings
+
+import lightgbm
+import numpy as np
+import pytest
+from sklearn.svm import SVC
+from sklearn.tree import DecisionTreeClassifier
+
+from epiprior.errors import SettingsError
+from epiprior_lab.export.onnx_files import to_onnx
+from epiprior_lab.training import families
+from epiprior_lab.training.families import FAMILIES, TrainingError, fit, fit_svm, fit_tree, round_down, sample_by_class
+from grouped_rows import make_rows
+
+ROWS = make_rows()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_family_ranks_right_rows_first(family):
+    fitted = fit(family, ROWS.X, ROWS.y, seed=1)
+    probability = fitted.probability(ROWS.X)
+    assert probability.dtype == np.float64
+    assert probability.shape == ROWS.y.shape
+    assert probability.min() >= 0
+    assert probability.max() <= 1
+    assert probability[ROWS.y].mean() > probability[~ROWS.y].mean() + 0.2
+    assert fitted.width == ROWS.X.shape[1]
+    assert fitted.probability(ROWS.X[:0]).shape == (0,)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_same_rows_and_seed_give_the_same_bytes(family):
+    first, second = (to_onnx(fit(family, ROWS.X, ROWS.y, seed=5, max_rows=1000)) for _ in range(2))
+    assert first == second
+
+
+@pytest.mark.parametrize("family", ["random-forest", "svm", "lightgbm"])
+def test_the_seed_matters(family):
+    first, second = (to_onnx(fit(family, ROWS.X, ROWS.y, seed=seed, max_rows=1000)) for seed in (1, 2))
+    assert first != second
+
+
+def test_lightgbm_is_the_same_with_more_threads(monkeypatch):
+    one = fit("lightgbm", ROWS.X, ROWS.y, seed=3)
+    monkeypatch.setitem(families._LIGHTGBM, "num_threads", 2)
+    two = fit("lightgbm", ROWS.X, ROWS.y, seed=3)
+    np.testing.assert_array_equal(one.probability(ROWS.X), two.probability(ROWS.X))
+
+
+def test_leaves_of_the_tree_are_smoothed_after_laplace():
+    tree = fit_tree(ROWS.X, ROWS.y, seed=0).estimator
+    leaf = tree.apply(ROWS.X)
+    probability = tree.predict_proba(ROWS.X)
+    for node in np.unique(leaf):
+        here = ROWS.y[leaf == node]
+        np.testing.assert_allclose(probability[leaf == node, 1], (here.sum() + 1) / (len(here) + 2))
+    np.testing.assert_allclose(probability.sum(axis=1), 1)
+
+
+def test_the_tree_is_pruned():
+    grown = DecisionTreeClassifier(criterion="entropy", random_state=0).fit(ROWS.X, ROWS.y)
+    assert fit_tree(ROWS.X, ROWS.y, seed=0).estimator.get_n_leaves() < grown.get_n_leaves() / 2
+
+
+def test_thresholds_of_lightgbm_are_float32_and_change_nothing(monkeypatch):
+    rounded = fit("lightgbm", ROWS.X, ROWS.y, seed=3)
+    monkeypatch.setattr(families, "_float32_thresholds", lambda booster: booster)
+    original = fit("lightgbm", ROWS.X, ROWS.y, seed=3)
+    on_thresholds = np.repeat(ROWS.X[:1], 5000, axis=0)
+    thresholds = thresholds_of(original.booster)
+    assert not all(t == float(np.float32(t)) for t in thresholds)  # otherwise this tests nothing
+    assert all(t == float(np.float32(t)) for t in thresholds_of(rounded.booster))
+    on_thresholds[:, 1] = np.resize(np.float32(thresholds), 5000)
+    for rows in (ROWS.X, on_thresholds):
+        np.testing.assert_array_equal(rounded.probability(rows), original.probability(rows))
+
+
+def thresholds_of(booster: lightgbm.Booster) -> list[float]:
+    values = []
+
+    def walk(node):
+        if "threshold" in node:
+            values.append(node["threshold"])
+            walk(node["left_child"])
+            walk(node["right_child"])
+
+    for tree in booster.dump_model()["tree_info"]:
+        walk(tree["tree_structure"])
+    return values
+
+
+def test_round_down_is_the_largest_float32_not_above():
+    values = np.array([0.1, -0.1, 1.0, 1 + 1e-12, -1 - 1e-12, 0.0, 1e-50, -1e-50, 1.0000000180025095e-35])
+    rounded = round_down(values)
+    assert rounded.dtype == np.float32
+    assert (rounded.astype(float) <= values).all()
+    assert (np.nextafter(rounded, np.float32(np.inf)).astype(float) > values).all()
+
+
+def test_the_decision_of_the_svm_is_libsvms():
+    fitted = fit_svm(ROWS.X[:800], ROWS.y[:800], seed=2)
+    svm = SVC(C=1.0, gamma=fitted.gamma)
+    held = np.zeros(800, bool)
+    held[sample_by_class(ROWS.y[:800], 200, 2)] = True
+    standardised = (ROWS.X.astype(float) - fitted.mean) / fitted.scale
+    svm.fit(standardised[:800][~held], ROWS.y[:800][~held])
+    np.testing.assert_allclose(fitted.decision(ROWS.X), svm.decision_function(standardised), rtol=1e-9, atol=1e-9)
+
+
+def test_the_svm_copes_with_a_constant_column():
+    X = ROWS.X.copy()
+    X[:, 4] = 7
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isfinite(fit("svm", X, ROWS.y, seed=0, max_rows=500).probability(X)).all()
+
+
+def test_importances_name_what_matters():
+    for family in ("tree", "random-forest", "lightgbm"):
+        importances = fit(family, ROWS.X, ROWS.y, seed=0).importances()
+        assert importances.shape == (5,)
+        assert importances.sum() == pytest.approx(1)
+        assert importances[1] > importances[4]
+    assert fit("svm", ROWS.X, ROWS.y, seed=0, max_rows=400).importances() is None
+
+
+def test_samples_keep_the_base_rate_and_both_classes():
+    labels = np.arange(10_000) < 500
+    kept = sample_by_class(labels, 1000, seed=0)
+    assert len(kept) == len(set(kept.tolist())) == 1000
+    assert labels[kept].sum() == 50
+    assert (np.diff(kept) > 0).all()
+    rare = np.arange(10_000) < 2
+    assert rare[sample_by_class(rare, 100, seed=0)].sum() == 1
+
+
+def test_the_cap_holds(monkeypatch):
+    seen = []
+    monkeypatch.setitem(FAMILIES, "tree", lambda rows, labels, seed: seen.append(len(rows)))
+    fit("tree", ROWS.X, ROWS.y, seed=0, max_rows=300)
+    fit("tree", ROWS.X, ROWS.y, seed=0)
+    assert seen == [300, len(ROWS.X)]
+
+
+@pytest.mark.parametrize(
+    ("family", "X", "y", "error", "message"),
+    [
+        ("c4.5", ROWS.X, ROWS.y, SettingsError, "c4.5"),
+        ("tree", ROWS.X.astype(float), ROWS.y, TrainingError, "float64"),
+        ("tree", ROWS.X, ROWS.y[:-1], TrainingError, "labels"),
+        ("tree", ROWS.X, np.ones_like(ROWS.y), TrainingError, "one class"),
+        ("tree", ROWS.X[:0], ROWS.y[:0], TrainingError, "one class"),
+        ("tree", np.where(ROWS.X > 3, np.float32(np.nan), ROWS.X), ROWS.y, TrainingError, "NaN"),
+    ],
+)
+def test_rows_that_cannot_be_trained_on_are_refused(family, X, y, error, message):
+    with pytest.raises(error, match=message):
+        fit(family, X, y, seed=0)

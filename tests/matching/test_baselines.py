@@ -1,0 +1,109 @@
+"""Inputs without preprocessing: handed-in features, and the many candidates of generalised RANSAC."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+import epiprior
+import epiprior.matching.pair
+from epiprior.errors import FeatureError, SettingsError
+from epiprior.estimators import run
+from epiprior.features.detect import detect_features, load_photograph
+from epiprior.matching.baselines import _candidates, generalized_matches, snn_matches, standard_matches
+from epiprior.types import Status
+from pictures import relief_pair, texture
+
+
+@pytest.mark.parametrize("make", [standard_matches, snn_matches, generalized_matches])
+def test_handed_in_features_give_what_detection_gives(make, monkeypatch):
+    pair = relief_pair()
+    wanted = make(*pair)
+    features1, features2 = (detect_features(load_photograph(image)) for image in pair)
+    monkeypatch.setattr(epiprior.matching.pair, "detect_features", None)  # nothing is detected again
+    got = make(*pair, features1=features1, features2=features2)
+    assert len(got) > 100
+    for column in fields(got):
+        np.testing.assert_array_equal(getattr(got, column.name), getattr(wanted, column.name), err_msg=column.name)
+    for features, rows, xy in ((features1, got.feature1, got.x1), (features2, got.feature2, got.x2)):
+        np.testing.assert_array_equal(features.xy[rows], xy)
+        used = features.take(np.unique(rows))
+        assert len(np.unique(np.column_stack([used.xy, used.scale]), axis=0)) == len(used)  # of twins, one
+    half1, half2 = (features.take(np.arange(0, len(features), 2)) for features in (features1, features2))
+    assert len(half1) > len(make(*pair, features1=half1, features2=features2)) > 10
+    assert 10 < len(make(*pair, features1=features1, features2=half2)) < len(got)
+    with pytest.raises(FeatureError, match="image 2 belong to"):
+        make(pair[0], pair[1][:-10], features1=features1, features2=features2)
+
+
+def naive_candidates(S, threshold, limit):
+    """Pairs above a threshold that are among the `limit` most similar of their row and of their column."""
+    above = {(i, j): S[i, j] for i in range(S.shape[0]) for j in range(S.shape[1]) if S[i, j] >= threshold}
+    kept = set()
+    for (i, j), value in above.items():
+        rivals1 = sorted((-s, b) for (a, b), s in above.items() if a == i)
+        rivals2 = sorted((-s, a) for (a, b), s in above.items() if b == j)
+        if (-value, j) in rivals1[:limit] and (-value, i) in rivals2[:limit]:
+            kept.add((i, j))
+    return kept
+
+
+@pytest.mark.parametrize(("n1", "n2"), [(40, 25), (700, 12), (1, 1)])
+@pytest.mark.parametrize("limit", [1, 3, 1000])
+def test_candidates_equal_the_naive_search(n1, n2, limit):
+    rng = np.random.default_rng(n1)
+    d1, d2 = (rng.normal(size=(n, 6)).astype(np.float32) for n in (n1, n2))
+    d1, d2 = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in (d1, d2))
+    rows, to, similarity = _candidates(d1, d2, 0.4, limit)
+    assert set(zip(rows, to, strict=True)) == naive_candidates(d1 @ d2.T, 0.4, limit)
+    np.testing.assert_allclose(similarity, (d1[rows] * d2[to]).sum(axis=1), rtol=1e-4)
+
+
+def test_no_features_no_candidates():
+    none = np.empty((0, 4), np.float32)
+    assert [len(part) for part in _candidates(none, np.ones((3, 4), np.float32), 0.5, 5)] == [0, 0, 0]
+
+
+def test_candidates_share_a_low_probability_and_are_sorted():
+    matches = generalized_matches(*relief_pair(), ncc_threshold=0.7, max_candidates=4)
+    assert len(matches) > len(generalized_matches(*relief_pair(), ncc_threshold=0.9)) > 100
+    count1, count2 = (np.bincount(f)[f] for f in (matches.feature1, matches.feature2))
+    np.testing.assert_allclose(matches.probability, 0.5 / np.maximum(count1, count2))
+    assert count1.max() > 1
+    key = list(zip(-matches.probability, -matches.similarity, strict=True))
+    assert key == sorted(key)
+    assert matches.similarity.min() >= 0.7
+    assert ((matches.distance_ratio < 1) | (matches.similarity_weight == 0)).all()
+
+
+def test_candidates_give_f():
+    matches = generalized_matches(*relief_pair())
+    estimate = run("generalized-ransac", matches)
+    assert estimate.status is Status.OK
+    # Cameras side by side: right matches lie on one row.
+    assert np.median(np.abs(estimate.x1[estimate.inliers, 1] - estimate.x2[estimate.inliers, 1])) < 0.5
+
+
+def test_columns_agree_with_the_standard_matches():
+    pair = relief_pair()
+    standard, general = standard_matches(*pair, max_distance_ratio=1.0), generalized_matches(*pair)
+    known = {(a, b): r for a, b, r in zip(standard.feature1, standard.feature2, standard.distance_ratio, strict=True)}
+    nearest = np.flatnonzero(general.distance_ratio < 1)
+    assert len(nearest) > 50
+    for i in nearest:
+        assert (general.feature1[i], general.feature2[i]) in known
+
+
+def test_pictures_without_texture():
+    blank = np.full((200, 200), 128, np.uint8)
+    assert len(generalized_matches(blank, texture())) == 0
+
+
+@pytest.mark.parametrize(
+    "bad", [{"ncc_threshold": 1.0}, {"ncc_threshold": float("nan")}, {"max_candidates": 0}, {"right_share": 0.0}]
+)
+def test_settings_out_of_range_are_refused(bad):
+    with pytest.raises(SettingsError, match=next(iter(bad))):
+        epiprior.generalized_matches(*relief_pair(), **bad)

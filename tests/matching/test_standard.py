@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+
+import naive
+from epiprior.matching.standard import mutual_mask, nearest_neighbours, similarity_weights
+
+
+def unit(rng, n, d=16):
+    x = rng.normal(size=(n, d)).astype(np.float32)
+    return x / np.linalg.norm(x, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize(("n1", "n2"), [(7, 11), (600, 30), (1, 1), (5, 1)])
+def test_both_directions_equal_the_naive_search(n1, n2):
+    rng = np.random.default_rng(n1)
+    d1, d2 = unit(rng, n1), unit(rng, n2)
+    S = d1 @ d2.T
+    for side, table in zip(nearest_neighbours(d1, d2), (S, S.T), strict=True):
+        nearest, best, second = naive.two_best(table)
+        np.testing.assert_array_equal(side.nearest, nearest)
+        np.testing.assert_allclose(side.best, best, rtol=1e-5)
+        np.testing.assert_allclose(side.second, second, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("n1", "n2"), [(0, 4), (4, 0), (0, 0)])
+def test_no_features_on_a_side(n1, n2):
+    rng = np.random.default_rng(0)
+    forward, backward = nearest_neighbours(unit(rng, n1), unit(rng, n2))
+    assert forward.nearest.tolist() == [-1] * n1
+    assert backward.nearest.tolist() == [-1] * n2
+    assert not mutual_mask(forward, backward).any()
+    assert similarity_weights(forward, backward).shape == (n1,)
+
+
+def test_distance_ratio_is_of_angles():
+    d1 = np.array([[1, 0]], np.float32)
+    d2 = np.array([[np.cos(0.1), np.sin(0.1)], [np.cos(0.4), np.sin(0.4)]], np.float32)
+    forward, _ = nearest_neighbours(d1, d2)
+    assert forward.distance_ratio == pytest.approx([0.25], rel=1e-3)
+
+
+def test_identical_neighbours_have_ratio_one():
+    forward, _ = nearest_neighbours(np.array([[1, 0]], np.float32), np.array([[1, 0], [1, 0]], np.float32))
+    assert forward.distance_ratio.tolist() == [1.0]
+
+
+def test_similarity_weight_as_printed():
+    rng = np.random.default_rng(3)
+    d1, d2 = unit(rng, 40, 4), unit(rng, 50, 4)
+    forward, backward = nearest_neighbours(d1, d2)
+    weights = similarity_weights(forward, backward)
+    S = d1 @ d2.T
+    positive = 0
+    for i in range(40):
+        j = int(S[i].argmax())
+        if int(S[:, j].argmax()) != i or S[i, j] <= 0:
+            assert weights[i] == 0
+            continue
+        m, m1, m2 = S[i, j], np.sort(S[:, j])[-2], np.sort(S[i])[-2]
+        expected = (1 - np.exp(-m)) ** 2 * (1 - max(m1, 0) / m) * (1 - max(m2, 0) / m)
+        assert weights[i] == pytest.approx(expected, rel=1e-4, abs=1e-7)
+        positive += 1
+    assert positive > 5

@@ -1,0 +1,69 @@
+"""Coherence against its naive twin, and what it is for: telling a match that moves with its surroundings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import naive
+from epiprior.ranking.coherence import COLUMNS, FAR, NEAR, coherence, descriptor_weights
+from epiprior.ranking.frames import MatchFrames
+
+
+def frames_of(x1, x2, scale1=None, scale2=None, roll_rad=0.0):
+    n = len(x1)
+    ones = np.ones(n)
+    return MatchFrames(
+        x1=np.asarray(x1, float), x2=np.asarray(x2, float), scale1=ones if scale1 is None else scale1,
+        scale2=ones if scale2 is None else scale2, orientation1_rad=0 * ones, orientation2_rad=0 * ones,
+        similarity=ones, fixed_similarity=ones, roll_rad=roll_rad,
+    )  # fmt: skip
+
+
+def turned(x, roll_rad, scale):
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    return scale * x @ np.array([[c, s], [-s, c]]) + 40.0
+
+
+@pytest.mark.parametrize(("places", "roll"), [(120, 0.0), (120, 1.2), (30, -0.4), (10, 0.0), (2, 0.0)])
+def test_equals_naive(places, roll):
+    rng = np.random.default_rng(places)
+    m = 3 * places
+    location1 = rng.permutation(m) % places
+    where = rng.uniform(0, 500, (places, 2))
+    x1 = where[location1]
+    x2 = turned(x1, roll, 1.3) + rng.normal(0, 20, (m, 2)) * rng.integers(0, 2, (m, 1))
+    scale1, scale2 = rng.uniform(1, 3, m), rng.uniform(1, 4, m)
+    weights = rng.random(m) * rng.integers(0, 2, m)
+    found = coherence(frames_of(x1, x2, scale1, scale2, roll), location1, weights)
+    wanted = naive.coherence(x1, x2, scale1, scale2, location1, weights, roll, NEAR, FAR)
+    assert found.shape == (m, len(COLUMNS))
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+def test_a_match_that_moves_with_its_surroundings_stands_out():
+    rng = np.random.default_rng(0)
+    x1 = rng.uniform(0, 300, (60, 2))
+    x2 = turned(x1, 0.5, 1.5)
+    x2[0] += [80.0, 0.0]  # one match was taken for its neighbour
+    found = coherence(frames_of(x1, x2, scale2=np.full(60, 1.5), roll_rad=0.5), np.arange(60), np.full(60, 0.5))
+    assert found[1:, 3].min() > 0.8
+    assert found[0, 3] < 0.5
+    assert (found[:, 0] <= found[:, 2] + 1e-12).all()
+
+
+def test_neither_a_match_without_neighbours_nor_no_match_says_anything():
+    one = frames_of([[1.0, 1.0]], [[2.0, 2.0]])
+    assert not coherence(one, np.zeros(1, np.int64), np.ones(1)).any()
+    none = np.empty((0, 2))
+    assert coherence(frames_of(none, none), np.empty(0, np.int64), np.empty(0)).shape == (0, len(COLUMNS))
+    far = frames_of([[0.0, 0.0], [900.0, 0.0]], [[0.0, 0.0], [900.0, 0.0]])
+    assert not coherence(far, np.arange(2), np.ones(2)).any()
+
+
+def test_descriptor_weights_share_and_trust_the_ratio():
+    location1, location2 = np.array([0, 0, 1, 2]), np.array([0, 1, 2, 3])
+    similarity, ratio = np.array([0.9, 0.7, 0.3, 0.3]), np.array([1.0, 1.0, 0.8, 1.0])
+    assert descriptor_weights(location1, location2, similarity, ratio) == pytest.approx([0.5, 0.25, 0.5, 0.0])
+    nothing = np.empty(0, np.int64)
+    assert descriptor_weights(nothing, nothing, np.empty(0), np.empty(0)).shape == (0,)

@@ -1,0 +1,225 @@
+import hashlib
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from epiprior.errors import FeatureError, ModelError, SettingsError
+from epiprior.presets import DEFAULT
+from epiprior.ranking import models
+from epiprior.ranking.models import calibrate, find_model, load_model
+from tiny_model import MATCH_WEIGHTS, logistic, make_model
+
+WIDTH = len(DEFAULT.match_columns)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return make_model(tmp_path / "default")
+
+
+def rows(count, width=WIDTH, seed=0):
+    return np.random.default_rng(seed).normal(size=(count, width)).astype(np.float32)
+
+
+def edit(folder, **entries):
+    """Change entries of the manifest; None removes one, and a dotted key goes down."""
+    path = folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    for key, value in entries.items():
+        *above, last = key.split("__")
+        section = manifest
+        for name in above:
+            section = section[name]
+        if value is None:
+            del section[last]
+        else:
+            section[last] = value
+    path.write_text(json.dumps(manifest))
+
+
+def replace_file(folder, name, content):
+    """Replace a file and its hash, so that only the content can be refused."""
+    (folder / name).write_bytes(content)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["files"][name] = hashlib.sha256(content).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+# --- prediction
+
+
+def test_a_model_says_what_it_is(folder):
+    model = load_model(folder)
+    assert model.name == "default"
+    assert model.two_keypoint_columns == DEFAULT.two_keypoint_columns
+    assert model.match_columns == DEFAULT.match_columns
+    assert model.manifest["preset"] == "default"
+
+
+def test_probabilities_are_calibrated(folder):
+    X = rows(1000)
+    weights = np.array([MATCH_WEIGHTS.get(name, 0.0) for name in DEFAULT.match_columns])
+    logit = np.clip(X @ weights - 1.0, -16, 16)
+    edit(folder, match__calibration={"a": 0.5, "b": -0.25})
+    probability = load_model(folder).predict_match(X)
+    assert probability.dtype == np.float64
+    middle = np.abs(logit) < 8
+    expected = 1 / (1 + np.exp(-(0.5 * logit - 0.25)))
+    np.testing.assert_allclose(probability[middle], expected[middle], atol=1e-4)
+    assert 0 < probability.min() < probability.max() < 1
+
+
+def test_calibration_is_strictly_increasing():
+    p = np.linspace(0, 1, 100_001)[1:-1]
+    assert (np.diff(calibrate(p, 0.3, 2.0)) > 0).all()
+    assert np.isfinite(calibrate(np.array([0.0, 1.0]), 5.0, 1.0)).all()
+
+
+def test_no_rows(folder):
+    model = load_model(folder)
+    assert model.predict_match(rows(0)).shape == (0,)
+    empty = np.empty((0, len(model.two_keypoint_columns)), np.float32)
+    assert model.predict_two_keypoint(empty).shape == (0,)
+
+
+@pytest.mark.parametrize("count", [1, 8191, 8192, 8193, 20_000])
+def test_a_rows_value_does_not_depend_on_its_neighbours_or_on_threads(folder, count):
+    X = rows(count)
+    one, three = load_model(folder), load_model(folder, threads=3)
+    probability = one.predict_match(X)
+    assert probability.shape == (count,)
+    np.testing.assert_array_equal(probability, three.predict_match(X))
+    for i in {0, count // 2, count - 1}:
+        np.testing.assert_allclose(one.predict_match(X[i : i + 1])[0], probability[i], rtol=1e-6)
+
+
+def test_rows_need_not_be_contiguous(folder):
+    X, model = rows(50), load_model(folder)
+    np.testing.assert_array_equal(model.predict_match(np.asfortranarray(X)), model.predict_match(X))
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (rows(5).astype(np.float64), "float64"),
+        (rows(5).tolist(), "list"),
+        (rows(5)[0], rf"\({WIDTH},\)"),
+        (rows(5, WIDTH - 1), rf"\(N, {WIDTH}\)"),
+    ],
+)
+def test_rows_of_another_kind_are_refused(folder, bad, message):
+    with pytest.raises(FeatureError, match=message):
+        load_model(folder).predict_match(bad)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_refused_by_name(folder, value):
+    X = rows(5)
+    X[3, 2] = value
+    with pytest.raises(FeatureError, match=f"{DEFAULT.match_columns[2]} of row 3"):
+        load_model(folder).predict_match(X)
+
+
+# --- finding
+
+
+def test_a_name_is_found_in_the_package_before_the_checkout(tmp_path, monkeypatch):
+    package = tmp_path / "src" / "epiprior"
+    package.mkdir(parents=True)
+    monkeypatch.setattr(models, "__file__", str(package / "ranking" / "models.py"))
+    (tmp_path / "models").mkdir()
+    checkout = make_model(tmp_path / "models" / "default")
+    assert find_model("default") == checkout
+    assert load_model("default").name == "default"
+    (package / "_models").mkdir()
+    shutil.copytree(checkout, package / "_models" / "default")
+    assert find_model("default") == package / "_models" / "default"
+
+
+@pytest.mark.parametrize("name", ["no-such-model", ""])
+def test_an_unknown_name_is_refused(name):
+    with pytest.raises(ModelError, match="no model named"):
+        load_model(name)
+
+
+def test_a_string_with_a_slash_is_a_folder(folder):
+    assert load_model(str(folder)).name == "default"
+    with pytest.raises(ModelError, match="no such folder"):
+        load_model(str(folder / "absent"))
+    with pytest.raises(ModelError, match="no such folder"):
+        load_model(Path("default"))
+
+
+def test_threads_are_checked(folder):
+    with pytest.raises(SettingsError, match="threads = 0"):
+        load_model(folder, threads=0)
+
+
+# --- damage: the message names the file and what differs
+
+
+@pytest.mark.parametrize("name", ["two_keypoint.onnx", "match.onnx", "manifest.json", "README.md"])
+def test_a_missing_file_is_named(folder, name):
+    (folder / name).unlink()
+    with pytest.raises(ModelError, match=rf"^{re.escape(str(folder / name))}: cannot be read"):
+        load_model(folder)
+
+
+@pytest.mark.parametrize("name", ["two_keypoint.onnx", "match.onnx", "README.md"])
+def test_a_changed_byte_is_found(folder, name):
+    content = bytearray((folder / name).read_bytes())
+    content[len(content) // 2] ^= 1
+    (folder / name).write_bytes(bytes(content))
+    with pytest.raises(ModelError, match=rf"{name}: sha256 is \w+, manifest.json says"):
+        load_model(folder)
+
+
+@pytest.mark.parametrize("text", ["", "{", "\x00\xff", "[]", "{}", '"schema_version"', 100_000 * "["])
+def test_a_manifest_that_is_none_is_refused(folder, text):
+    (folder / "manifest.json").write_text(text, encoding="latin-1")
+    with pytest.raises(ModelError, match=r"manifest.json"):
+        load_model(folder)
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"schema_version": 2}, "schema_version is 2"),
+        ({"schema_version": None}, "schema_version is None"),
+        ({"name": None}, "name is None"),
+        ({"files": None}, "files / two_keypoint.onnx is None"),
+        ({"files": []}, "files / two_keypoint.onnx is None"),
+        ({"match": None}, "match / features is None"),
+        ({"match__features": "similarity"}, "expected list"),
+        ({"match__features": []}, "expected different names"),
+        ({"match__features": ["a"] * WIDTH}, "expected different names"),
+        ({"match__features": list(range(WIDTH))}, "expected different names"),
+        ({"match__features": ["a", "b"]}, rf"match.onnx: takes {WIDTH} columns, manifest.json names 2: a, b"),
+        ({"match__calibration__a": None}, "calibration / a is None"),
+        ({"match__calibration__a": "1"}, "calibration / a is '1'"),
+        ({"match__calibration__a": 0.0}, "a > 0"),
+        ({"match__calibration__a": float("nan")}, "finite"),
+        ({"match__calibration__b": float("inf")}, "finite"),
+    ],
+)
+def test_a_manifest_that_says_something_else_is_refused(folder, entries, message):
+    edit(folder, **entries)
+    with pytest.raises(ModelError, match=message):
+        load_model(folder)
+
+
+def test_a_graph_that_is_none_is_refused(folder):
+    replace_file(folder, "match.onnx", b"not a graph")
+    with pytest.raises(ModelError, match=r"match.onnx: onnxruntime cannot load it"):
+        load_model(folder)
+
+
+def test_a_graph_of_another_shape_is_refused(folder):
+    graph = logistic(DEFAULT.match_columns, {}, 0.0).replace(b"probability", b"probabilitx")
+    replace_file(folder, "match.onnx", graph)
+    with pytest.raises(ModelError, match="probabilitx"):
+        load_model(folder)

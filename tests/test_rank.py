@@ -1,0 +1,220 @@
+import logging
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import epiprior
+from epiprior.errors import FeatureError, ImageError, ModelError, SettingsError
+from epiprior.features.detect import FeatureSettings, detect_features, load_photograph
+from epiprior.geometry import sampson_distance
+from epiprior.matching import pair
+from epiprior.presets import DEFAULT, PAPER
+from epiprior.ranking import hypothesis
+from epiprior.ranking.models import load_model
+from pictures import relief_pair, rotated, texture
+from synthetic import make_pair
+from tiny_model import make_model
+
+ROWS_CORRESPOND = np.array([[0, 0, 0], [0, 0, 1], [0, -1, 0]], float)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return load_model(make_model(tmp_path_factory.mktemp("models") / "default"))
+
+
+@pytest.fixture(scope="module")
+def ranked(model):
+    return epiprior.rank_matches(*relief_pair(), model=model)
+
+
+def test_the_set_is_sorted_and_its_top_is_right(ranked):
+    assert len(ranked.sets) == 1
+    best = ranked.sets[0]
+    assert len(best) > 300
+    order = np.lexsort((best.distance_ratio, -best.supporting_matrices, -best.probability))
+    np.testing.assert_array_equal(best.probability[order], best.probability)
+    assert ((best.probability >= 0) & (best.probability <= 1)).all()
+    rows_agree = np.abs(best.x1[:, 1] - best.x2[:, 1]) < 2
+    assert rows_agree[:100].mean() > 0.95
+    assert rows_agree.mean() < 0.9  # the tail holds the wrong ones
+    assert best.supporting_matrices.max() > 500
+    assert (best.two_keypoint_probability > 0).any()
+
+
+def test_every_step_is_timed(ranked):
+    names = {"features", "standard matches", "roll", "fixed orientation", "clusters", "putative matches"}
+    names |= {"coherence", "2keypoints", "2keypoint classifier", "votes", "probabilities"}
+    assert set(ranked.seconds) == names
+    assert min(ranked.seconds.values()) > 0
+
+
+def test_rough_matrices_are_in_given_pixels(model):
+    left, right = relief_pair(640, 480)
+    settings = replace(DEFAULT, features=FeatureSettings(max_image_size=320))
+    found = epiprior.rank_matches(left, right, model=model, settings=settings).sets[0]
+    assert found.x1[:, 0].max() > 400
+    y = np.random.default_rng(0).uniform(0, 480, 50)
+    x1 = np.column_stack([np.random.default_rng(1).uniform(0, 600, 50), y])
+    x2 = x1 + [20.0, 0.0]
+    np.testing.assert_allclose(np.linalg.norm(found.rough_matrices, axis=(1, 2)), 1)
+    middle = [np.median(sampson_distance(F, x1, x2)) for F in found.rough_matrices]
+    assert min(middle) < 3  # some are close to the truth: rows correspond
+    assert np.median(sampson_distance(ROWS_CORRESPOND, x1, x2)) < 1e-9
+
+
+def test_same_input_same_bytes_whatever_the_threads(ranked, model, monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    again = epiprior.rank_matches(*relief_pair(), model=model)
+    for one, two in zip(ranked.sets, again.sets, strict=True):
+        for name in ("x1", "x2", "probability", "supporting_matrices", "rough_matrices"):
+            assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
+
+
+@pytest.mark.parametrize("angle_deg", [90.0, 37.0])
+def test_a_turned_image_is_matched_under_its_roll(model, angle_deg):
+    left, right = relief_pair()
+    turned, A = rotated(right, angle_deg)
+    found = epiprior.rank_matches(left, turned, model=model)
+    assert len(found.sets) == 2
+    first = found.sets[0]
+    assert abs(first.roll_deg - angle_deg) < 4
+    assert found.sets[1].roll_deg == 0
+    back = (first.x2 - A[:, 2]) @ np.linalg.inv(A[:, :2]).T
+    assert (np.abs(first.x1[:100, 1] - back[:100, 1]) < 3).mean() > 0.9
+
+
+def test_paper_preset_runs_both_hypotheses_always():
+    prepared = pair.prepare_pair(*relief_pair(), PAPER)
+    rolls = pair.roll_hypotheses(prepared, PAPER)
+    assert len(rolls) == 2
+    assert rolls[1] == 0
+    found = hypothesis.find_candidates(prepared, 0.0, PAPER)
+    assert found.two_keypoints.descriptors.shape[1] == 6
+
+
+def test_features_of_the_callers_own(model):
+    left, right = relief_pair()
+    own = [detect_features(load_photograph(image)) for image in (left, right)]
+    found = epiprior.rank_matches(left, right, features1=own[0], features2=own[1], model=model)
+    plain = epiprior.rank_matches(left, right, model=model)
+    np.testing.assert_array_equal(found.sets[0].probability, plain.sets[0].probability)
+    for column, features in (("1", own[0]), ("2", own[1])):
+        rows = getattr(found.sets[0], f"feature{column}")
+        np.testing.assert_array_equal(features.xy[rows], getattr(found.sets[0], f"x{column}"))
+        assert rows.max() > len(np.unique(features.xy, axis=0)) - 1  # rows of features, not of locations
+    without = epiprior.rank_matches(None, None, features1=own[0], features2=own[1], model=model)
+    top = without.sets[0].take(slice(0, 100))
+    assert (np.abs(top.x1[:, 1] - top.x2[:, 1]) < 2).mean() > 0.9
+
+
+def test_features_that_do_not_fit_are_named(model):
+    left, right = relief_pair()
+    own = detect_features(load_photograph(left))
+    with pytest.raises(FeatureError, match="image 1"):
+        epiprior.rank_matches(left[:100], right, features1=own, model=model)
+    with pytest.raises(ImageError, match="image 2 is None"):
+        epiprior.rank_matches(left, None, model=model)
+    with pytest.raises(FeatureError, match="image 2 are dict"):
+        epiprior.rank_matches(left, right, features2={}, model=model)
+    short = replace(own, descriptors=own.descriptors[:, :64])
+    with pytest.raises(FeatureError, match="64"):
+        epiprior.rank_matches(left, right, features1=short, model=model)
+
+
+def test_a_model_of_another_preset_is_named(model):
+    with pytest.raises(ModelError, match=r"model default: two_keypoint asks for .*preset paper .*: scale_change_diff"):
+        epiprior.rank_matches(*relief_pair(), preset="paper", model=model)
+
+
+@pytest.mark.parametrize("blank", [np.zeros((300, 300), np.uint8), np.zeros((10, 10), np.uint8)])
+def test_no_texture_gives_empty_sets(model, blank):
+    for images in ((blank, texture()), (texture(), blank), (blank, blank)):
+        found = epiprior.rank_matches(*images, model=model)
+        assert [len(s) for s in found.sets] == [0]
+        assert len(found.standard) == 0
+
+
+def test_unknown_preset_and_bad_settings_are_named():
+    with pytest.raises(SettingsError, match="'fancy', known: paper, default"):
+        epiprior.rank_matches(texture(), texture(), preset="fancy")
+    with pytest.raises(SettingsError, match="vote_threshold is -1"):
+        replace(DEFAULT, vote_threshold=-1.0)
+    with pytest.raises(SettingsError, match="frame"):
+        replace(DEFAULT, frame="nothing")
+
+
+def test_standard_matches_are_the_papers():
+    found = epiprior.standard_matches(*relief_pair())
+    assert (np.diff(found.distance_ratio) >= 0).all()
+    assert found.distance_ratio.max() <= 0.9
+    assert np.isnan(found.probability).all()
+    fewer = epiprior.standard_matches(*relief_pair(), max_distance_ratio=0.6)
+    assert 0 < len(fewer) < len(found)
+    np.testing.assert_array_equal(fewer.x1, found.x1[: len(fewer)])
+
+
+def test_snn_is_mutual_and_ordered():
+    found = epiprior.snn_matches(*relief_pair())
+    assert (np.diff(found.distance_ratio) >= 0).all()
+    assert found.distance_ratio.max() < 0.85
+    assert len({tuple(x) for x in np.column_stack([found.x2, found.orientation2_deg])}) == len(found)
+
+
+def test_compilation_is_announced_once_per_kernel(monkeypatch, caplog):
+    from epiprior.kernels import compilation
+
+    class Fresh:
+        signatures = ()
+        py_func = make_pair
+
+        class stats:  # noqa: N801
+            cache_path = "no such folder"
+
+    class Compiled(Fresh):
+        signatures = ("float64()",)
+
+    class Broken:
+        signatures = ()
+
+    monkeypatch.setattr(compilation, "_asked", set())
+    with caplog.at_level(logging.INFO, logger="epiprior"):
+        for _ in range(2):
+            compilation.announce_compilation(Fresh, "this", "a second")
+            compilation.announce_compilation(Compiled, "that", "a second")
+            compilation.announce_compilation(Broken, "those", "a second")
+    line = "compiling kernels of {}: the first call on this machine takes a second"
+    assert [record.message for record in caplog.records] == [line.format("this"), line.format("those")]
+
+
+@pytest.mark.parametrize("name", ["epiprior", "beem", "usac"])
+def test_own_estimators_announce_their_kernels(monkeypatch, name):
+    from epiprior.estimators import epiprior as starting_from_votes
+    from epiprior.estimators import own, run
+
+    said = []
+    for module in (starting_from_votes, own):
+        monkeypatch.setattr(module, "announce_compilation", lambda kernel, *words: said.append(kernel))
+    run(name, make_pair().matches)
+    assert said == {"epiprior": [starting_from_votes.climb], "beem": [own.run_loop], "usac": []}[name]
+
+
+def test_the_cache_of_compiled_kernels_is_recognised(tmp_path):
+    # The second process finds what the first one compiled, and says nothing.
+    code = (
+        "import logging, numpy as np; logging.basicConfig(level=logging.INFO)\n"
+        "from epiprior import compilation, votes\n"
+        "compilation.announce_compilation(votes.add_votes, 'the votes', 'a second')\n"
+        "votes.count_votes(np.ones((1, 3, 3)), np.ones((1, 2)), np.ones((1, 2)))"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    said = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment).stderr
+        for _ in range(2)
+    ]
+    assert "compiling kernels" in said[0]
+    assert "compiling kernels" not in said[1]

@@ -1,0 +1,257 @@
+"""Two photographs in, F out: which matches the estimator gets, and what is done twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from epiprior import rank as preprocess
+from epiprior import two_view as fundamental
+from epiprior.errors import EstimatorError, ImageError, SettingsError
+from epiprior.estimators.handover import HandOver
+from epiprior.features.detect import detect_features, load_photograph
+from epiprior.geometry import sampson_distance
+from epiprior.presets import find_preset
+from epiprior.ranking.models import load_model
+from epiprior.two_view import estimate_fundamental
+from epiprior.types import MatchSet, RankedMatches, Status
+from epiprior.verification.cascade import CascadeRule
+from epiprior.verification.plausibility import camera_plausibility
+from pictures import relief_pair, texture
+from synthetic import make_pair
+from tiny_model import make_model
+
+KEEP_ALL = CascadeRule(min_spread=0, min_plausibility=0.0)
+KEEP_NONE = CascadeRule(min_spread=10**6, min_plausibility=1.0)
+
+
+def ranked_of(matches: MatchSet, standard: MatchSet) -> RankedMatches:
+    return RankedMatches(sets=(matches,), standard=standard, seconds={"votes": 0.5}, preset="default")
+
+
+def test_two_pictures_without_preprocessing():
+    left, right = relief_pair()
+    estimate = estimate_fundamental(left, right, preprocess=False)
+    assert estimate.status is Status.OK
+    # Cameras side by side: epipolar lines are rows.
+    rows = np.array([[0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+    assert sampson_distance(rows, estimate.x1, estimate.x2)[estimate.inliers].max() < 3.0
+    grid = np.stack(np.meshgrid([60.0, 240, 420], [50.0, 180, 310]), axis=-1).reshape(-1, 2)
+    assert sampson_distance(estimate.F, grid, grid - [25.0, 0.0]).max() < 2.0
+    assert {"standard matches", "estimator", "support"} <= set(estimate.seconds)
+
+
+def test_ranked_matches_are_used_and_their_seconds_kept(monkeypatch):
+    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("ranked a second time"))
+    pair, picture = make_pair(), texture()
+    ranked = ranked_of(pair.matches, pair.matches.take(slice(7)))
+    estimate = estimate_fundamental(picture, picture, ranked=ranked)
+    assert pair.error_px(estimate.F) < 0.6
+    assert estimate.seconds["votes"] == 0.5
+    assert estimate_fundamental(picture, picture, ranked=ranked, preprocess=False).status is Status.TOO_FEW_MATCHES
+
+
+def test_images_are_ranked_with_the_preset(monkeypatch):
+    pair, asked = make_pair(), []
+
+    def rank(image1, image2, *, preset, **features):
+        asked.append(preset)
+        return ranked_of(pair.matches, pair.matches)
+
+    monkeypatch.setattr(preprocess, "rank_matches", rank)
+    estimate = estimate_fundamental(texture(), texture(), preset="paper", estimator="prosac", threshold_px=2.5)
+    assert asked == ["paper"]
+    assert estimate.estimator == "prosac"
+    assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 2.5)
+
+
+def test_unknown_estimator_fails_before_any_work(monkeypatch):
+    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
+    with pytest.raises(EstimatorError, match="'usak'"):
+        estimate_fundamental(texture(), texture(), estimator="usak")
+
+
+def test_identical_images_and_black_images():
+    picture = texture()
+    same = estimate_fundamental(picture, picture, preprocess=False)
+    assert same.status is Status.DEGENERATE
+    assert "nothing moved" in same.message
+    black = np.zeros((200, 300), np.uint8)
+    assert estimate_fundamental(black, black, preprocess=False).status is Status.TOO_FEW_MATCHES
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"mode": "waterfall"}, "mode is 'waterfall', known: preprocess, standard, cascade"),
+        ({"mode": "standard", "preprocess": True}, "mode is 'standard', but preprocess is True"),
+        ({"mode": "preprocess", "preprocess": False}, "mode is 'preprocess', but preprocess is False"),
+        ({"mode": "cascade", "preprocess": True}, "mode is 'cascade', but preprocess is True"),
+        ({"mode": "cascade", "hand_over": HandOver()}, "hand_over is for one input"),
+        ({"rule": KEEP_ALL}, "rule is of the cascade, but mode is 'preprocess'"),
+        ({"rule": KEEP_ALL, "preprocess": False}, "rule is of the cascade, but mode is 'standard'"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(monkeypatch, options, named):
+    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
+    with pytest.raises(SettingsError, match=named):
+        estimate_fundamental(texture(), texture(), **options)
+
+
+def test_a_mode_and_its_short_form_agree():
+    left, right = relief_pair(240, 180)
+    first, second, third = (
+        estimate_fundamental(left, right, **how)
+        for how in ({"mode": "standard"}, {"preprocess": False}, {"mode": "standard", "preprocess": False})
+    )
+    assert first.input == "standard"
+    assert first.F.tobytes() == second.F.tobytes() == third.F.tobytes()
+
+
+@pytest.fixture
+def ranking(monkeypatch):
+    """Stands in for `rank_matches`: notes what it is given, returns what the test puts in."""
+    state = {"calls": [], "matches": make_pair().matches}
+
+    def rank(image1, image2, **options):
+        state["calls"].append(options)
+        return ranked_of(state["matches"], state["matches"])
+
+    monkeypatch.setattr(preprocess, "rank_matches", rank)
+    return state
+
+
+def test_a_kept_estimate_is_the_one_on_standard_matches(ranking):
+    left, right = relief_pair(240, 180)
+    kept = estimate_fundamental(left, right, mode="cascade", rule=KEEP_ALL)
+    assert ranking["calls"] == []
+    standard = estimate_fundamental(left, right, mode="standard")
+    assert kept.F.tobytes() == standard.F.tobytes()
+    assert kept.input == "standard"
+    assert set(kept.seconds) == set(standard.seconds)
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_what_is_not_kept_is_ranked_from_the_same_features(ranking, monkeypatch, preset):
+    detected = []
+
+    def detect(photograph, settings):
+        detected.append(settings)
+        return detect_features(photograph, settings)
+
+    monkeypatch.setattr("epiprior.matching.pair.detect_features", detect)
+    left, right = relief_pair(240, 180)
+    estimate = estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE, preset=preset)
+    assert len(detected) == 2
+    (call,) = ranking["calls"]
+    assert call["preset"] == preset
+    assert len(call["features1"]) > 50
+    assert call["features1"].image_size == call["features2"].image_size == (240, 180)
+    assert estimate.input == preset
+    assert estimate.status is Status.OK
+    assert {"standard input", "votes", "estimator"} <= set(estimate.seconds)
+    assert estimate.seconds["votes"] == 0.5
+
+
+def test_shared_features_change_no_bit(tmp_path, monkeypatch):
+    model = load_model(make_model(tmp_path / "default"))
+    monkeypatch.setattr(preprocess, "load_model", lambda name: model)
+    left, right = relief_pair(240, 180)
+    twice = estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE)
+    once = estimate_fundamental(left, right)
+    assert twice.status is Status.OK
+    assert twice.F.tobytes() == once.F.tobytes()
+    assert np.array_equal(twice.inliers, once.inliers)
+
+
+def test_other_features_are_not_shared(ranking, monkeypatch):
+    fewer = replace(find_preset("default"), features=replace(find_preset("default").features, max_keypoints=500))
+    monkeypatch.setattr(fundamental, "find_preset", lambda name: fewer if name == "default" else find_preset(name))
+    left, right = relief_pair(240, 180)
+    estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE)
+    assert ranking["calls"] == [{"preset": "default", "features1": None, "features2": None}]
+
+
+@pytest.mark.parametrize("estimator", ["usac", "generalized-ransac"])
+def test_features_of_the_callers_own_are_used_on_both_inputs(ranking, monkeypatch, estimator):
+    monkeypatch.setattr("epiprior.matching.pair.detect_features", lambda *_: pytest.fail("features were detected"))
+    ranking["matches"] = replace(ranking["matches"], image_sizes=((1024, 768), (1024, 768)))
+    pictures = relief_pair(240, 180)
+    own = [detect_features(load_photograph(picture)) for picture in pictures]
+    options = {"estimator": estimator, "features1": own[0], "features2": own[1]}
+    with_images = estimate_fundamental(*pictures, mode="standard", **options)
+    assert with_images.status is Status.OK
+    without = estimate_fundamental(None, None, mode="standard", **options)
+    assert without.F.tobytes() == with_images.F.tobytes()
+    estimate_fundamental(None, None, mode="cascade", rule=KEEP_NONE, **options)
+    (call,) = ranking["calls"]
+    assert call["features1"] is own[0]
+    assert call["features2"] is own[1]
+
+
+def test_without_image_or_size_a_threshold_has_no_meaning(ranking):
+    ranked = ranked_of(ranking["matches"], ranking["matches"])
+    with pytest.raises(ImageError, match="do not know its size"):
+        estimate_fundamental(None, None, ranked=ranked)
+    sized = replace(ranking["matches"], image_sizes=((1024, 768), (1024, 768)))
+    assert estimate_fundamental(None, None, ranked=ranked_of(sized, sized)).status is Status.OK
+
+
+def test_a_poor_estimate_is_better_than_none(ranking):
+    ranking["matches"] = make_pair(inliers=7, outliers=0).matches
+    left, right = relief_pair(240, 180)
+    estimate = estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE)
+    assert len(ranking["calls"]) == 1
+    assert estimate.status is Status.OK
+    assert estimate.input == "standard"
+    assert "standard input" in estimate.seconds
+
+
+def test_where_neither_works_the_reason_is_of_the_ranked_matches(ranking):
+    ranking["matches"] = make_pair(scene="plane", seed=2).matches
+    estimate = estimate_fundamental(texture(), np.zeros((200, 300), np.uint8), mode="cascade")
+    assert estimate.status is Status.DEGENERATE
+    assert estimate.input == "default"
+
+
+def test_a_cascade_uses_what_was_ranked_before(ranking):
+    good, poor = make_pair(), make_pair(inliers=7, outliers=0)
+    picture = texture()
+    kept = estimate_fundamental(picture, picture, mode="cascade", ranked=ranked_of(poor.matches, good.matches))
+    used = estimate_fundamental(picture, picture, mode="cascade", ranked=ranked_of(good.matches, poor.matches))
+    assert ranking["calls"] == []
+    assert (kept.input, used.input) == ("standard", "default")
+    assert good.error_px(used.F) < 0.6
+
+
+def test_generalized_ransac_has_an_input_of_its_own(ranking):
+    left, right = relief_pair(240, 180)
+    estimate = estimate_fundamental(left, right, estimator="generalized-ransac", mode="standard")
+    assert (estimate.status, estimate.input) == (Status.OK, "generalized")
+    assert {"generalized matches", "estimator"} <= set(estimate.seconds)
+    second = estimate_fundamental(left, right, estimator="generalized-ransac", mode="cascade", rule=KEEP_NONE)
+    assert second.input == "default"
+    assert ranking["calls"] == [{"preset": "default", "features1": None, "features2": None}]
+
+
+def test_a_threshold_is_for_both_inputs(ranking):
+    left, right = relief_pair(240, 180)
+    for rule in (KEEP_ALL, KEEP_NONE):
+        estimate = estimate_fundamental(left, right, mode="cascade", rule=rule, threshold_px=0.8)
+        assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.8)
+
+
+@pytest.mark.parametrize(("rule", "taken"), [(KEEP_ALL, "standard"), (KEEP_NONE, "default")])
+def test_the_rule_of_the_models_is_used(ranking, monkeypatch, rule, taken):
+    monkeypatch.setattr(fundamental, "load_cascade_rule", lambda: rule)
+    left, right = relief_pair(240, 180)
+    assert estimate_fundamental(left, right, mode="cascade").input == taken
+
+
+def test_spread_and_plausibility_are_known_of_photographs(ranking):
+    left, right = relief_pair(240, 180)
+    found = estimate_fundamental(left, right, mode="standard")
+    assert 0 < found.spread <= 5 * 4  # so many cells of 48 pixels the images have
+    assert found.plausibility == camera_plausibility(found.raw_F[None], ((240, 180), (240, 180)))[0]
