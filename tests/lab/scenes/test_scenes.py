@@ -22,10 +22,8 @@ from epiprior_lab.pairsets import (
 )
 from epiprior_lab.scenes import FAMILIES, SceneError, pairs, render_pair, textures
 from epiprior_lab.scenes.camera_pairs import look_at
-from epiprior_lab.scenes.light import Light
 from epiprior_lab.scenes.photography import encode_jpeg
-from epiprior_lab.scenes.render import render_depth, render_image
-from epiprior_lab.scenes.shadows import cast_shadows
+from epiprior_lab.scenes.render import Light, cast_shadows, render_depth, render_image
 from epiprior_lab.scenes.world import (
     BOTH_VIEWS,
     FIRST_VIEW,
