@@ -28,7 +28,7 @@ class Light:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shadows:
-    """Distance of the lit surface from the sun, (N, N), metres; `projection`, (3, 4), takes world points to pixels of it."""
+    """Distance of the lit surface from the sun, (N, N), metres; `projection`, (3, 4), takes the world to its pixels."""
 
     projection: FloatArray
     depth: Float32Array
