@@ -13,7 +13,7 @@ import numpy as np
 
 from epiprior.errors import SettingsError
 from epiprior.types import FloatArray
-from epiprior_lab.evaluation.measures import points_on_lines
+from epiprior_lab.evaluation.distances import points_on_lines
 from epiprior_lab.labels.ground_truth import LabelSettings, reference_fundamental
 from epiprior_lab.pairsets import DatasetError, Pair, transfer_distance
 
