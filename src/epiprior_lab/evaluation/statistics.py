@@ -15,11 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.metrics import average_precision_score
 
 from epiprior.errors import SettingsError
 from epiprior.types import BoolArray, FloatArray, IntArray
-
-RANKING_DEPTHS = (10, 100, 500)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,10 +251,9 @@ def precision_at(right: BoolArray, depth: int) -> float:
 
 def average_precision(right: BoolArray) -> float:
     """Return the mean over the right matches of the precision at their rank; 0 if none is right."""
-    hits = np.flatnonzero(right)
-    if not len(hits):
+    if not right.any():
         return 0.0
-    return float((np.arange(1, len(hits) + 1) / (hits + 1)).mean())
+    return float(average_precision_score(right, -np.arange(len(right))))
 
 
 def log_ranks(limit: int, per_decade: int = 12) -> IntArray:
