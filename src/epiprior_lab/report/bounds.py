@@ -78,8 +78,8 @@ def judge(
     DataFrame
         ``measure, group, threshold_px, estimator, input, against``: the bound, with whom the numbers are about;
         ``wanted, found, low, high`` (95 % interval over scenes); ``possible``, what would be found if every pair
-        succeeded; ``kept`` of how many estimators ``of`` keep to the bound; ``met``: by the value, of a difference by an
-        interval that excludes the bound for everyone. Without any such pair nothing is found, and not met.
+        succeeded; ``kept`` of how many estimators ``of`` keep to the bound; ``met``: by the value, of a difference by
+        an interval that excludes the bound for everyone. Without any such pair nothing is found, and not met.
 
     Raises
     ------
@@ -90,7 +90,9 @@ def judge(
     for bound in bounds:
         row: dict[str, Any] = dict.fromkeys(COLUMNS.split(), np.nan)
         row |= {"wanted": bound.at_most if np.isnan(bound.at_least) else bound.at_least, "met": False}
-        row |= {name: getattr(bound, name) for name in ("measure", "group", "threshold_px", "estimator", "input", "against")}
+        row |= {
+            name: getattr(bound, name) for name in ("measure", "group", "threshold_px", "estimator", "input", "against")
+        }
         if bound.measure in _OF_TIME and overhead is not None:
             rows.append(row | _time(bound, overhead))
         elif bound.measure in _OF_RESULTS and results is not None and tables is not None:
@@ -111,7 +113,12 @@ def _contribution(bound: Bound, results: Results, tables: Mapping[str, pd.DataFr
     worst = ours.sort_values("gain", kind="stable").iloc[0]
     base = at[(at["estimator"] == worst["estimator"]) & at["input"].isin(BASELINES)]["successes"].iloc[0]
     kept = int((ours["gain"] >= bound.at_least - ROUNDING).sum())
-    row = {"estimator": worst["estimator"], "found": worst["gain"], "low": worst["gain_low"], "high": worst["gain_high"]}
+    row = {
+        "estimator": worst["estimator"],
+        "found": worst["gain"],
+        "low": worst["gain_low"],
+        "high": worst["gain_high"],
+    }
     row |= {"possible": worst["pairs"] / base - 1 if base else np.inf, "met": kept == len(ours)}
     return row | ({"kept": kept, "of": len(ours)} if bound.estimator == EVERY else {})
 
@@ -153,7 +160,10 @@ def _precision_gain(bound: Bound, results: Results, tables: Mapping[str, pd.Data
         return {}
     row = at.iloc[0]
     found = {"found": row["gain"], "low": row["gain_low"], "high": row["gain_high"]}
-    return found | {"possible": 1 - (row["precision_100"] - row["gain"]), "met": row["gain"] >= bound.at_least - ROUNDING}
+    return found | {
+        "possible": 1 - (row["precision_100"] - row["gain"]),
+        "met": row["gain"] >= bound.at_least - ROUNDING,
+    }
 
 
 def _time(bound: Bound, overhead: pd.DataFrame) -> dict[str, Any]:

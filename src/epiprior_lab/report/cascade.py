@@ -38,10 +38,10 @@ def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[f
     Returns
     -------
     DataFrame
-        One row per main group, estimator and threshold: ``pairs``; ``preprocessed``, the share of runs that were; and in
-        pairs, mean over seeds: successes ``without``, ``always`` and ``cascade``; ``lost`` and ``won``, the successes
-        that only always preprocessing has, and only the cascade; ``change`` = cascade - always with the ends of its
-        95 % interval, ``_low`` and ``_high``.
+        One row per main group, estimator and threshold: ``pairs``; ``preprocessed``, the share of runs that were; and
+        in pairs, mean over seeds: successes ``without``, ``always`` and ``cascade``; ``lost`` and ``won``, the
+        successes that only always preprocessing has, and only the cascade; ``change`` = cascade - always with the ends
+        of its 95 % interval, ``_low`` and ``_high``.
     """
     runs = paired_runs(results.tables.runs)
     (kept,) = kept_runs(runs, [rule])
@@ -60,7 +60,12 @@ def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[f
             always, cascade = (shares[name].to_numpy(np.float64) for name in ("always", "cascade"))
             for group, member in results.groups(results.main):
                 pairs = int(member.sum())
-                row: dict[str, Any] = {"group": group, "estimator": estimator, "threshold_px": threshold, "pairs": pairs}
+                row: dict[str, Any] = {
+                    "group": group,
+                    "estimator": estimator,
+                    "threshold_px": threshold,
+                    "pairs": pairs,
+                }
                 row["preprocessed"] = float(shares.loc[member, "preprocessed"].mean())
                 row |= {str(name): float(shares.loc[member, name].sum()) for name in (*errors, "lost", "won")}
                 change = results.compare(always, cascade, member, "cascade", estimator, group, str(threshold))
@@ -84,9 +89,9 @@ def cascade_blocks(table: pd.DataFrame, rule: CascadeRule, threshold_px: float) 
         losses.append(f"{worst['estimator']}, {worst['lost']:.1f} of {worst['pairs']} pairs below {threshold:g} px")
     text = (
         f"The estimator runs on matches without preprocessing first. {_in_words(rule)} One rule, learnt on rendered "
-        f"validation scenes, serves all estimators. Successes are pairs below {threshold_px:g} px, mean over seeds; *lost* "
-        "and *won* are against always preprocessing. The tolerance of the rule is over all estimators together, so a "
-        f"single one may lose more. The largest losses are: {'; '.join(losses)}."
+        f"validation scenes, serves all estimators. Successes are pairs below {threshold_px:g} px, mean over seeds; "
+        "*lost* and *won* are against always preprocessing. The tolerance of the rule is over all estimators together, "
+        f"so a single one may lose more. The largest losses are: {'; '.join(losses)}."
     )
     return [text, Table(head=head, rows=rows)]
 
@@ -105,11 +110,11 @@ def learnt_page(learnt: LearntRule, params: CascadeParams, success_px: float, st
     names = ("preprocessed", "lost", "held_out_preprocessed", "held_out_lost")
     rows = [[str(name), *(share(row[n], 1) for n in names)] for name, row in learnt.outcomes.iterrows()]
     text = (
-        f"{_in_words(learnt.rule)} One rule serves all estimators, chosen on validation scenes: it preprocesses least and "
-        f"loses, against always preprocessing, at most {share(params.tolerance, 1)} of the runs (pair, estimator and "
-        f"seed) below {success_px:g} px and {share(params.strict_tolerance, 1)} below {strict_px:g} px. Held out: each "
-        f"scene under the rule that the other scenes would have chosen. Lost: below {success_px:g} px. What the rule does "
-        "on the test pairs: [performance.md](performance.md), section \"Cascade\"."
+        f"{_in_words(learnt.rule)} One rule serves all estimators, chosen on validation scenes: it preprocesses least "
+        f"and loses, against always preprocessing, at most {share(params.tolerance, 1)} of the runs (pair, estimator "
+        f"and seed) below {success_px:g} px and {share(params.strict_tolerance, 1)} below {strict_px:g} px. Held out: "
+        f"each scene under the rule that the other scenes would have chosen. Lost: below {success_px:g} px. What the rule does "
+        'on the test pairs: [performance.md](performance.md), section "Cascade".'
     )
     head = ("estimator", "preprocessed", "lost", "preprocessed, held out", "lost, held out")
     picture = Picture(path=figure, alt="Runs lost over runs preprocessed", caption=FIGURE_CAPTION)

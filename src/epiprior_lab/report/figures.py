@@ -195,7 +195,9 @@ def ranking_figure(results: Results, path: Path) -> None:
                 axis.set(xscale="log", ylim=(0, 1.02), xlim=(1, 10_000))
                 axis.set_xticks([1, 10, 100, 1000, 10_000], ["1", "10", "100", "1,000", "10,000"])
                 if row is axes[0]:
-                    axis.set_title(f"{group_title(group)} ({of_group[['group', 'pair_id']].drop_duplicates().shape[0]})")
+                    axis.set_title(
+                        f"{group_title(group)} ({of_group[['group', 'pair_id']].drop_duplicates().shape[0]})"
+                    )
                 if row is axes[-1]:
                     axis.set_xlabel("matches, best first")
             row[0].set_ylabel(f"{title}\nshare of right matches", fontweight="bold")
@@ -302,7 +304,10 @@ def classifier_figure(table: pd.DataFrame, path: Path) -> None:
         ("grouped", 0.2, "#0072b2", "folds by scene"),
         ("ungrouped", -0.2, "#e3a76f", "folds by row, as in the paper: optimistic (exported family)"),
     )
-    with styled(len(subjects), len(metrics), (2.7 * len(metrics), 1.7 * len(subjects) + 0.6), sharex=True) as (figure, axes):
+    with styled(len(subjects), len(metrics), (2.7 * len(metrics), 1.7 * len(subjects) + 0.6), sharex=True) as (
+        figure,
+        axes,
+    ):
         for row, (preset, target) in zip(axes, subjects, strict=True):
             for axis, metric in zip(row, metrics, strict=True):
                 chosen = (table["preset"] == preset) & (table["target"] == target) & (table["metric"] == metric)
@@ -437,13 +442,22 @@ def seconds_figure(table: pd.DataFrame, path: Path) -> None:
                 axis.plot(mean[few], height[few], look.marker, color=look.colour, ms=5, mfc="white", mew=1.1)
                 for at, level, runs in zip(mean, height, part["runs"], strict=True):
                     if np.isfinite(at):
-                        how: Any = {"textcoords": "offset points", "va": "center", "fontsize": 5.5, "color": look.colour}
+                        how: Any = {
+                            "textcoords": "offset points",
+                            "va": "center",
+                            "fontsize": 5.5,
+                            "color": look.colour,
+                        }
                         axis.annotate(f"{runs:.0f}", (at, level), (5, 0), **how)
-            axis.set(title=f"runs that end in {outcome}", xlabel="milliseconds per run, matching left out", xscale="log")
+            axis.set(
+                title=f"runs that end in {outcome}", xlabel="milliseconds per run, matching left out", xscale="log"
+            )
             axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axis.xaxis.set_major_formatter("{x:g}")
             axis.xaxis.set_minor_formatter(NullFormatter())
-        few_runs = Line2D([], [], ls="", marker="o", color=MUTED, mfc="white", mew=1.1, label=f"fewer than {FEW_RUNS} runs")
+        few_runs = Line2D(
+            [], [], ls="", marker="o", color=MUTED, mfc="white", mew=1.1, label=f"fewer than {FEW_RUNS} runs"
+        )
         dots = [Look(look.label, look.colour, "", look.marker) for look in looks.values()]
         legend(figure, dots, markers=True, more=[few_runs])
         save(figure, path)

@@ -202,7 +202,9 @@ def case_blocks(cases: Sequence[Case], folder: str, suffix: str) -> list[Block]:
         blocks.append(f"**{case.kind}**: {case.group}, `{case.pair_id}` ({level}, right in X_L: {right}). {about}.")
         pictures = []
         for name, succeeded, status in zip(case.inputs, case.succeeded, case.statuses, strict=True):
-            caption = f"{input_title(name)}: {share(succeeded)} of the runs of {case.estimator} succeed; drawn: `{status}`"
+            caption = (
+                f"{input_title(name)}: {share(succeeded)} of the runs of {case.estimator} succeed; drawn: `{status}`"
+            )
             alt = f"{case.pair_id}, {input_title(name)}: best matches and epipolar lines"
             pictures.append(Picture(path=f"{folder}/{case.name}-{name}.{suffix}", alt=alt, caption=caption))
         blocks.append(tuple(pictures))
@@ -212,8 +214,8 @@ def case_blocks(cases: Sequence[Case], folder: str, suffix: str) -> list[Block]:
 def write_gallery(cases: Sequence[Case], folder: Path) -> None:
     """Write the page of the pictures on photographs, beside them; it may not be passed on."""
     about = (
-        "Best matches and epipolar lines, without preprocessing on the left, with it on the right. A run whose status is "
-        "not `ok` has no lines. These photographs belong to others and may not be passed on: this folder is not committed."
+        "Best matches and epipolar lines, without preprocessing on the left, with it on the right. A run whose status "
+        "is not `ok` has no lines. These photographs belong to others and may not be passed on: this folder is not committed."
     )
     section = Section(title="Pairs", blocks=case_blocks(cases, ".", "jpg"))
     Page(title="Rescued and lost pairs", about=about, sections=[section]).write(folder, markdown="")

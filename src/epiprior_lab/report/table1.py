@@ -20,9 +20,9 @@ LISTS = (
 )
 _ABOUT = (
     "The paper's Table 1 on rendered test pairs. The pairs were chosen by a rule that knows no outcome: within each "
-    "family at the quantiles {quantiles} of the share of right matches in X_L, so from hard to easy. Ours: the union of "
-    "X, X_L and X_B by probability. Success: how many estimators, and which, have an error below {success_px:g} px in "
-    "most of their seeds (X_B alone is no input of the study)."
+    "family at the quantiles {quantiles} of the share of right matches in X_L, so from hard to easy. Ours: the union "
+    "of X, X_L and X_B by probability. Success: how many estimators, and which, have an error below {success_px:g} px "
+    "in most of their seeds (X_B alone is no input of the study)."
 )
 
 

@@ -108,9 +108,7 @@ def decided(difference: Interval) -> str:
     return "worse" if difference.high < -ROUNDING else "open"
 
 
-def geometry_table(
-    results: Results, *, pose_deg: Sequence[float], recall_at: float, success_px: float
-) -> pd.DataFrame:
+def geometry_table(results: Results, *, pose_deg: Sequence[float], recall_at: float, success_px: float) -> pd.DataFrame:
     """Return poses and distances by group, estimator and input.
 
     Parameters
@@ -176,7 +174,9 @@ def ranking_table(results: Results) -> pd.DataFrame:
     index = pd.MultiIndex.from_frame(results.tables.pairs[columns])
     ranked = results.tables.rankings
     ranked = ranked.assign(**{f"precision_{depth}": ranked[right_column(depth)] / depth for depth in DEPTHS})
-    parts = {key: part.set_index(columns).reindex(index) for key, part in ranked.groupby(["input", "ranking"], sort=False)}
+    parts = {
+        key: part.set_index(columns).reindex(index) for key, part in ranked.groupby(["input", "ranking"], sort=False)
+    }
     keys = sorted(parts, key=lambda key: (key[0] not in BASELINES, key[0] == OURS))
     base = next((parts[key] for key in (("standard", "final"), *keys) if key in parts), None)
     rows = []
@@ -224,7 +224,12 @@ def calibration_table(results: Results) -> pd.DataFrame:
             sums = calibration_sums(of_group[of_group["input"] == name])
             if not sums.count.sum():
                 continue
-            row: Cells = {"group": group, "input": name, "matches": int(sums.count.sum()), "right": int(sums.right.sum())}
+            row: Cells = {
+                "group": group,
+                "input": name,
+                "matches": int(sums.count.sum()),
+                "right": int(sums.right.sum()),
+            }
             row |= {"brier_score": sums.brier_score, "expected_calibration_error": sums.expected_calibration_error}
             row["lowest_share"] = float(sums.count[0] / sums.count.sum())
             upper = CalibrationBins(**{column: values[1:] for column, values in vars(sums).items()})
@@ -358,8 +363,8 @@ def pair_table(results: Results) -> pd.DataFrame:
 def estimator_table(results: Results) -> pd.DataFrame:
     """Return what stands behind each name: ``estimator, backend, max_iterations, deterministic, hypotheses``.
 
-    ``max_iterations`` caps the samples of a run, per roll hypothesis; ``hypotheses`` is the median of those of both over
-    all runs, where the backend tells.
+    ``max_iterations`` caps the samples of a run, per roll hypothesis; ``hypotheses`` is the median of those of both
+    over all runs, where the backend tells.
     """
     medians = results.tables.runs.groupby("estimator")["iterations"].median()
     rows = []

@@ -31,8 +31,8 @@ def seconds_table(timings: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``estimator, input, outcome`` (``success`` or ``failure``), ``runs``, and mean, median and longest seconds of the
-        estimator alone; outcomes that did not occur have no row.
+        ``estimator, input, outcome`` (``success`` or ``failure``), ``runs``, and mean, median and longest seconds of
+        the estimator alone; outcomes that did not occur have no row.
     """
     table = timings[timings["input"] != CASCADE]
     table = table.assign(outcome=np.where(table["error_px"] < threshold_px, "success", "failure"))
@@ -94,9 +94,19 @@ def write_timings(timings: pd.DataFrame, results: Results, out: Path, threshold_
     for name, part in whole.groupby("input", sort=False):
         rows.append([input_title(str(name))])
         for row in part.to_dict("records"):
-            times = [number(row[column], 2) for column in ("seconds_without", "seconds_with", "overhead", "median_overhead")]
+            times = [
+                number(row[column], 2) for column in ("seconds_without", "seconds_with", "overhead", "median_overhead")
+            ]
             rows.append([row["estimator"], str(row["runs"]), *times, share(row["preprocessed"])])
-    head = ("estimator", "runs", "seconds without", "seconds with", "ratio", "ratio, median of runs", "runs preprocessed")
+    head = (
+        "estimator",
+        "runs",
+        "seconds without",
+        "seconds with",
+        "ratio",
+        "ratio, median of runs",
+        "runs preprocessed",
+    )
     pictures = (
         Picture(path="overhead.png", alt="Time overhead against contribution", caption=OVERHEAD_CAPTION),
         Picture(path="estimators.png", alt="Seconds per run of each estimator", caption=SECONDS_CAPTION),
@@ -107,7 +117,9 @@ def write_timings(timings: pd.DataFrame, results: Results, out: Path, threshold_
         Section(title="Bounds", blocks=[Table(head=("bound", "found", "met"), rows=bound_rows(judged), texts=3)]),
     ]
     number_of_pairs = len(timings[["group", "pair_id"]].drop_duplicates())
-    about = f"{number_of_pairs} pairs, {timings['estimator'].nunique()} estimators, one run at a time, matching included."
+    about = (
+        f"{number_of_pairs} pairs, {timings['estimator'].nunique()} estimators, one run at a time, matching included."
+    )
     Page(title="Times", about=about, sections=sections).write(out, markdown="times.md", html="")
 
 
@@ -116,6 +128,6 @@ OVERHEAD_CAPTION = (
     "estimator. The axis of the contribution is logarithmic above 100 %."
 )
 SECONDS_CAPTION = (
-    "Time of each estimator alone, by input, and by whether it succeeded; beside each mark the number of runs. Marks of "
-    "few runs are hollow."
+    "Time of each estimator alone, by input, and by whether it succeeded; beside each mark the number of runs. Marks "
+    "of few runs are hollow."
 )
