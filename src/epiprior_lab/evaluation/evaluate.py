@@ -8,47 +8,15 @@ run that was killed continues where it stopped.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.inputs import match_folder, store_matches
+from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.rankings import pair_records
 from epiprior_lab.evaluation.records import Tables
-from epiprior_lab.evaluation.runs import EstimatorInputs, HandOvers, MeasureSettings, run_pairs
-from epiprior_lab.evaluation.truth import TruthSettings
+from epiprior_lab.evaluation.runs import run_pairs
 from epiprior_lab.pairsets import Pair
-
-
-@dataclass(frozen=True, kw_only=True)
-class Protocol:
-    """What is evaluated and how it is measured.
-
-    Parameters
-    ----------
-    inputs : mapping of str to sequence of str
-        For each estimator the inputs that it gets; what is not in `inputs.INPUTS` is a peer's.
-    seeds : tuple of int
-        Repetitions of every estimate.
-    hand_overs : mapping
-        ``hand_overs[estimator][input]``.
-    truth, measures
-        See `TruthSettings`, `MeasureSettings`.
-    peers : Path, optional
-        ``peers/GROUP/PEER/PAIR_ID.npz``, see `inputs`.
-    """
-
-    inputs: EstimatorInputs
-    seeds: tuple[int, ...]
-    hand_overs: HandOvers
-    truth: TruthSettings = field(default_factory=TruthSettings)
-    measures: MeasureSettings = field(default_factory=MeasureSettings)
-    peers: Path | None = None
-
-    @property
-    def all_inputs(self) -> tuple[str, ...]:
-        """All inputs that some estimator gets."""
-        return tuple(dict.fromkeys(name for names in self.inputs.values() for name in names))
 
 
 def evaluate(

@@ -5,19 +5,15 @@ from __future__ import annotations
 import json
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from epiprior.errors import EpipriorError, SettingsError
-from epiprior.features.detect import (
-    FeatureSettings,
-    detect_features,
-    load_photograph,
-    normalise_descriptors,
-    unique_locations,
-)
+from epiprior.features.describe import normalise_descriptors
+from epiprior.features.detect import FeatureSettings, detect_features, unique_locations
+from epiprior.features.images import load_photograph
 from epiprior.types import Features, FloatArray, IntArray
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.pairsets import Pair
@@ -34,22 +30,17 @@ class PeerError(EpipriorError):
     """The rankers of others failed; the message ends with what they said."""
 
 
-def match_by_peers(*, pairs: Sequence[Pair], rankers: Sequence[str], python: Path, script: Path) -> list[list[Columns]]:
-    """Match some pairs by every ranker.
+def match_by_peers(*, pairs: Sequence[Pair], peers: Sequence[str], python: Path, script: Path) -> list[list[Columns]]:
+    """Match some pairs by every peer; for each pair and peer return the arrays of `inputs.read_peer_matches`.
 
     Parameters
     ----------
     pairs : sequence of Pair
         Their images are read.
-    rankers : sequence of str
+    peers : sequence of str
         Names that the script knows.
     python, script : Path
         Interpreter of the environment, and what it runs.
-
-    Returns
-    -------
-    list of list of dict
-        Per pair and ranker, the arrays of `epiprior_lab.evaluation.photographs.peers.read_peer_matches`.
 
     Raises
     ------
@@ -61,34 +52,29 @@ def match_by_peers(*, pairs: Sequence[Pair], rankers: Sequence[str], python: Pat
     for path in dict.fromkeys(path for pair in pairs for path in (pair.image1, pair.image2)):
         features[path] = detect_features(load_photograph(path, settings.max_image_size), settings)
     names = {path: f"features-{k}" for k, path in enumerate(features)}
-    asked = [(pair.pair_id, names[pair.image1], names[pair.image2], list(rankers)) for pair in pairs]
+    asked = [(pair.pair_id, names[pair.image1], names[pair.image2], list(peers)) for pair in pairs]
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         for path, found in features.items():
-            _write(folder / f"{names[path]}.npz", found)
+            np.savez(
+                folder / f"{names[path]}.npz",
+                xy=found.xy,
+                scale=found.scale,
+                orientation_deg=found.orientation_deg,
+                descriptors=normalise_descriptors(found.descriptors, root=True, centred=False),
+                size=np.array(found.image_size),
+            )
         (folder / "pairs.json").write_text(json.dumps(asked), encoding="utf-8")
         done = subprocess.run([str(python), str(script), str(folder)], capture_output=True, text=True, check=False)
         if done.returncode:
             raise PeerError(f"{script} failed: {done.stderr.strip()[-500:]}")
         return [
             [
-                _columns(folder / f"{pair.pair_id}.{ranker}.npz", features[pair.image1], features[pair.image2])
-                for ranker in rankers
+                _columns(folder / f"{pair.pair_id}.{peer}.npz", features[pair.image1], features[pair.image2])
+                for peer in peers
             ]
             for pair in pairs
         ]
-
-
-def _write(path: Path, features: Features) -> None:
-    descriptors = normalise_descriptors(features.descriptors, root=True, centred=False)
-    np.savez(
-        path,
-        xy=features.xy,
-        scale=features.scale,
-        orientation_deg=features.orientation_deg,
-        descriptors=descriptors,
-        size=np.array(features.image_size),
-    )
 
 
 def _columns(path: Path, features1: Features, features2: Features) -> Columns:
@@ -105,7 +91,7 @@ def _columns(path: Path, features1: Features, features2: Features) -> Columns:
 
 def write_peer_matches(
     pairs: Sequence[Pair],
-    rankers: Sequence[str],
+    peers: Sequence[str],
     out: Path,
     *,
     environment: Path = ENVIRONMENT,
@@ -114,18 +100,14 @@ def write_peer_matches(
     workers: int = 1,
     store: Path | None = None,
 ) -> None:
-    """Write the matches of every ranker and pair as ``out/RANKER/PAIR_ID.npz``; a killed run continues.
+    """Write the matches of every peer and pair as ``out/PEER/PAIR_ID.npz``; a killed run continues.
 
     Parameters
     ----------
-    pairs : sequence of Pair
-        Of one set.
-    rankers : sequence of str
+    peers : sequence of str
         None writes an empty folder.
-    out : Path
-        Folder, made if absent.
     environment, script : Path
-        Where the rankers live, and what runs there.
+        Where the peers are installed, and what runs there.
     files : sequence of Path
         What else decides the matches.
     workers, store
@@ -137,7 +119,7 @@ def write_peer_matches(
         If there is no such environment.
     """
     out.mkdir(parents=True, exist_ok=True)
-    if not rankers:
+    if not peers:
         return
     python = environment / "bin" / "python"
     if not python.is_file():
@@ -146,7 +128,7 @@ def write_peer_matches(
     tasks = [
         Task(
             name=f"{part[0].pair_id} and {len(part) - 1} more",
-            payload={"pairs": part, "rankers": tuple(rankers), "python": python, "script": script},
+            payload={"pairs": part, "peers": tuple(peers), "python": python, "script": script},
             files=(*(file for pair in part for file in pair.files), script, *files),
         )
         for part in parts
@@ -154,10 +136,6 @@ def write_peer_matches(
     matched = map_tasks(match_by_peers, tasks, workers=workers, description=f"peers of {out.name}", store=store)
     for part, found in zip(parts, matched, strict=True):
         for pair, of_pair in zip(part, found, strict=True):
-            _save(out, pair.pair_id, dict(zip(rankers, of_pair, strict=True)))
-
-
-def _save(out: Path, pair_id: str, matches: Mapping[str, Columns]) -> None:
-    for ranker, columns in matches.items():
-        (out / ranker).mkdir(exist_ok=True)
-        np.savez(out / ranker / f"{pair_id}.npz", allow_pickle=False, **columns)
+            for peer, columns in zip(peers, of_pair, strict=True):
+                (out / peer).mkdir(exist_ok=True)
+                np.savez(out / peer / f"{pair.pair_id}.npz", allow_pickle=False, **columns)

@@ -18,9 +18,9 @@ from epiprior.matching.selection import one_to_one_mask
 from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
 from epiprior_lab.evaluation.inputs import PRESETS, MatchFiles
 from epiprior_lab.evaluation.records import RANKS, CalibrationRecord, PairRecord, RankingRecord, Record
-from epiprior_lab.evaluation.statistics import average_precision, calibration_bins, right_among_first
 from epiprior_lab.evaluation.truth import TruthSettings, pair_truth, true_roll_deg
 from epiprior_lab.labels.ground_truth import label_matches
+from epiprior_lab.measures import average_precision, calibration_bins, right_among_first
 from epiprior_lab.pairsets import Pair
 
 _TOP = 100

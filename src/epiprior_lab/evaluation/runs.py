@@ -15,8 +15,8 @@ from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.compute.tasks import Task, map_tasks
+from epiprior_lab.evaluation.distances import pose_errors, symmetric_distance
 from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches
-from epiprior_lab.evaluation.measures import pose_errors, symmetric_distance
 from epiprior_lab.evaluation.records import RunRecord
 from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
 from epiprior_lab.labels.ground_truth import errors_px

@@ -1,161 +1,109 @@
-"""Time with the preprocessing step over time without, and of each estimator when it succeeds and when it fails.
+"""Wall time of the whole pipeline, from image files to F, by estimator and input, and of the cascade of two inputs.
 
-After the paper's figure of time overhead. Times are wall times of one process on a few pairs of each family;
-nothing else in the study reads them.
+One process, one pair at a time (after the paper's figure of time overhead); no result depends on these times.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
-import numpy as np
-import pandas as pd
-from scipy import stats
-
-from epiprior.estimators.run import estimate_from_matches
-from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.evaluation.estimates import EstimatorInputs, HandOvers
-from epiprior_lab.evaluation.statistics import contribution
-from epiprior_lab.features.matching import PRESETS, WITHOUT, match_pair
-from epiprior_lab.labels.ground_truth import errors_px
+from epiprior.types import FundamentalEstimate, Status
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.evaluation.inputs import INPUTS, WITHOUT, match_pair
+from epiprior_lab.evaluation.protocol import Protocol
+from epiprior_lab.evaluation.records import CASCADE, TimingRecord
+from epiprior_lab.evaluation.runs import error_px, estimates
+from epiprior_lab.evaluation.truth import pair_truth
+from epiprior_lab.features.detection import detect_pair
 from epiprior_lab.pairsets import Pair
-from epiprior_lab.report.study import order_of, success_rates
 
-Row = dict[str, Any]
+_PREPROCESSED = "default"  # what the cascade falls back on
 
 
-def measure_pair(pair: Pair, inputs: EstimatorInputs, hand_overs: HandOvers, seeds: Sequence[int]) -> list[Row]:
-    """Time matching and estimation of one pair.
+def spread_pairs(pairs: Sequence[Pair], count: int) -> list[Pair]:
+    """Return so many of the pairs, taken evenly."""
+    return list(pairs[:: max(1, len(pairs) // count)][:count])
+
+
+def time_pair(
+    pair: Pair, protocol: Protocol, rule: CascadeRule, *, group: str, seeds: Sequence[int]
+) -> list[TimingRecord]:
+    """Time one pair.
 
     Parameters
     ----------
     pair : Pair
         Its images are read anew for each input, since that is what a user pays.
-    inputs : mapping of str to sequence of str
-        For each estimator the inputs that it gets.
-    hand_overs : mapping
-        ``hand_overs[estimator][input]``.
+    protocol : Protocol
+        Estimators, their inputs and hand-overs; inputs of peers are left out.
+    rule : CascadeRule
+        Of the cascade.
+    group : str
+        Leads every record.
     seeds : sequence of int
         One run each.
 
     Returns
     -------
-    list of dict
-        ``pair_id, scene, input, estimator, seed, matching_seconds`` (features and everything up to the ranked
-        matches), ``estimator_seconds`` (from matches to F, all roll hypotheses) and ``error_px`` (of F before the
-        verdict; NaN without F).
+    list of TimingRecord
+        By input, estimator and seed; those of the cascade last.
     """
-    points = pair.control_points()
-    rows: list[Row] = []
-    for name in dict.fromkeys(name for names in inputs.values() for name in names):
+    truth = pair_truth(pair, protocol.truth)
+    found: dict[tuple[str, int, str], tuple[TimingRecord, FundamentalEstimate]] = {}
+    for name in (name for name in protocol.all_inputs if name in INPUTS):
         start = time.perf_counter()
-        matches = match_pair(pair, (name,))
-        matching = time.perf_counter() - start
-        for estimator in (e for e, names in inputs.items() if name in names):
-            for seed in seeds:
-                how = hand_overs[estimator][name]
-                start = time.perf_counter()
-                estimate = estimate_from_matches(
-                    matches.sets[name],
+        detected = detect_pair(pair)
+        middle = time.perf_counter()
+        matches = match_pair(pair, (name,), detected=detected)
+        features, matching = middle - start, time.perf_counter() - middle
+        for estimator in (e for e, names in protocol.inputs.items() if name in names):
+            hand_overs = protocol.hand_overs[estimator]
+            for _, seed, estimate in estimates(
+                matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs
+            ):
+                running = sum(estimate.seconds.values())
+                record = TimingRecord(
+                    group=group,
+                    pair_id=pair.pair_id,
+                    scene=pair.scene,
                     estimator=estimator,
-                    seed=child_seed(seed, pair.pair_id),
-                    hand_over=how,
-                    pixel_factors=matches.pixel_factors,
+                    input=name,
+                    seed=seed,
+                    seconds_features=features,
+                    seconds_matching=matching,
+                    seconds_estimator=running,
+                    seconds_total=features + matching + running,
+                    preprocessed=name not in WITHOUT and name != "snn",
+                    error_px=error_px(estimate, truth),
                 )
-                seconds = time.perf_counter() - start
-                rows.append(
-                    {
-                        "pair_id": pair.pair_id,
-                        "scene": pair.scene,
-                        "input": name,
-                        "estimator": estimator,
-                        "seed": seed,
-                        "matching_seconds": matching,
-                        "estimator_seconds": seconds,
-                        "error_px": np.nan if estimate.raw_F is None else errors_px(estimate.raw_F, *points).mean(),
-                    }
-                )
-    return rows
+                found[estimator, seed, name] = record, estimate
+    cascades = [
+        _cascade(found[estimator, seed, name], found[estimator, seed, _PREPROCESSED], rule)
+        for estimator, seed, name in found
+        if name in WITHOUT and (estimator, seed, _PREPROCESSED) in found
+    ]
+    return [*(record for record, _ in found.values()), *cascades]
 
 
-def estimator_table(timings: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
-    """Return how long each estimator takes on each input when it succeeds and when it fails.
-
-    Parameters
-    ----------
-    timings : DataFrame
-        Rows of `measure_pair`.
-    threshold_px : float
-        Of success, pixels.
-
-    Returns
-    -------
-    DataFrame
-        ``estimator, input, outcome`` (``success`` or ``failure``), ``runs``, and mean, median and longest
-        seconds of the estimator alone; outcomes that did not occur have no row.
-    """
-    outcome = np.where(timings["error_px"] < threshold_px, "success", "failure")
-    rows = []
-    for (estimator, name, result), part in timings.assign(outcome=outcome).groupby(
-        ["estimator", "input", "outcome"], sort=False
-    ):
-        seconds = part["estimator_seconds"]
-        cells = {"runs": len(part), "mean": seconds.mean(), "median": seconds.median(), "longest": seconds.max()}
-        rows.append({"estimator": estimator, "input": name, "outcome": result, **cells})
-    return pd.DataFrame(rows)
-
-
-def overhead_table(timings: pd.DataFrame, results: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
-    """Return one row per preset, family and estimator that gets the preset.
-
-    Parameters
-    ----------
-    timings : DataFrame
-        Rows of `measure_pair` with a column ``family``.
-    results : DataFrame
-        Results of the evaluation of the same families.
-    threshold_px : float
-        Of the contribution, pixels.
-
-    Returns
-    -------
-    DataFrame
-        ``preset, family, estimator, seconds_without, seconds_with`` (means over runs, matching included),
-        ``overhead`` (their ratio, the paper's definition) and ``contribution``.
-    """
-    total = timings.assign(seconds=timings["matching_seconds"] + timings["estimator_seconds"])
-    means = total.groupby(["family", "estimator", "input"], sort=False)["seconds"].mean().to_dict()
-    rows = []
-    for preset in PRESETS:
-        for family in order_of(timings["family"]):
-            for estimator in order_of(timings["estimator"]):
-                without = next((name for name in WITHOUT if (family, estimator, name) in means), None)
-                if without is None or (family, estimator, preset) not in means:
-                    continue
-                where = {"family": family, "estimator": estimator}
-                a, _ = success_rates(results, threshold_px, input=without, **where)
-                b, _ = success_rates(results, threshold_px, input=preset, **where)
-                before, after = means[family, estimator, without], means[family, estimator, preset]
-                rows.append(
-                    {
-                        "preset": preset,
-                        **where,
-                        "seconds_without": before,
-                        "seconds_with": after,
-                        "overhead": after / before,
-                        "contribution": float(contribution(a.mean(), b.mean())),
-                    }
-                )
-    return pd.DataFrame(rows)
-
-
-def correlation(table: pd.DataFrame) -> float:
-    """Return Spearman's rank correlation of contribution and overhead; NaN where either does not vary.
-
-    Ranks, because a contribution is infinite where nothing succeeded without the step.
-    """
-    if table["contribution"].nunique() < 2 or table["overhead"].nunique() < 2:
-        return float("nan")
-    return float(stats.spearmanr(table["contribution"], table["overhead"]).statistic)
+def _cascade(
+    first: tuple[TimingRecord, FundamentalEstimate], second: tuple[TimingRecord, FundamentalEstimate], rule: CascadeRule
+) -> TimingRecord:
+    """Return the time of the cascade: as the library does, it finds the features that both share only once."""
+    (before, estimate), (after, again) = first, second
+    if rule.keeps(estimate):
+        return replace(before, input=CASCADE)
+    features = before.seconds_features + (0.0 if before.input == "standard" else after.seconds_features)
+    matching = before.seconds_matching + after.seconds_matching
+    running = before.seconds_estimator + after.seconds_estimator
+    back = estimate.status is Status.OK and again.status is not Status.OK
+    return replace(
+        after,
+        input=CASCADE,
+        seconds_features=features,
+        seconds_matching=matching,
+        seconds_estimator=running,
+        seconds_total=features + matching + running,
+        error_px=(before if back else after).error_px,
+    )

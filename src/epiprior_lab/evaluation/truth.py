@@ -7,15 +7,19 @@ select for the result.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from epiprior.errors import SettingsError
 from epiprior.types import FloatArray
-from epiprior_lab.evaluation.measures import points_on_lines
+from epiprior_lab.evaluation.distances import points_on_lines
 from epiprior_lab.labels.ground_truth import LabelSettings, reference_fundamental
 from epiprior_lab.pairsets import DatasetError, Pair, transfer_distance
+
+if TYPE_CHECKING:
+    from epiprior_lab.params import TruthParams
 
 _BESIDE_PLANE = 3
 _BESIDE_PLANE_SHARE = 0.05
@@ -57,6 +61,17 @@ class TruthSettings:
         if right_share > self.easy_share:
             return "easy"
         return "hard" if right_share < self.hard_share else "medium"
+
+
+def truth_settings(params: TruthParams) -> TruthSettings:
+    """Return the settings of a parameter file."""
+    return TruthSettings(
+        labels=LabelSettings.of(params),
+        plane_px=params.plane_px,
+        one_plane=params.one_plane or (),
+        easy_share=params.easy_share,
+        hard_share=params.hard_share,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
