@@ -124,7 +124,7 @@ def _contribution(bound: Bound, results: Results, tables: Mapping[str, pd.DataFr
 
 
 def _best_peer(bound: Bound, results: Results) -> dict[str, Any]:
-    """Compare with the best combination of any estimator, this one included, with any input that is not ranked by us."""
+    """Compare with the best combination of any estimator, this one included, with any input but ours."""
     member = results.masks[bound.group]
     rates = {
         (estimator, name): results.errors.of(estimator, name, bound.threshold_px)
@@ -141,7 +141,7 @@ def _best_peer(bound: Bound, results: Results) -> dict[str, Any]:
     return row | {"met": found.value >= bound.at_least - ROUNDING}
 
 
-def _difference(bound: Bound, results: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+def _difference(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     at = tables["duels"]
     at = at[(at["group"] == bound.group) & (at["input"] == bound.input) & (at["threshold_px"] == bound.threshold_px)]
     if at.empty:
@@ -153,7 +153,7 @@ def _difference(bound: Bound, results: Results, tables: Mapping[str, pd.DataFram
     return row | {"kept": kept, "of": len(at), "met": kept == len(at)}
 
 
-def _precision_gain(bound: Bound, results: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+def _precision_gain(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     at = tables["rankings"]
     at = at[(at["group"] == bound.group) & (at["input"] == bound.input) & (at["ranking"] == "final")]
     if at.empty:

@@ -11,10 +11,11 @@ import pandas as pd
 
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
-from epiprior_lab.report.page import Block, Page, Picture, Section, Table
+from epiprior_lab.report.page import Page, Section, Table
+from epiprior_lab.report.prose import picture, say
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.style import MUTED, Look, save, styled
-from epiprior_lab.report.text import ALL, group_title, interval, order_of, share, signed
+from epiprior_lab.report.text import order_of, share
 from epiprior_lab.selection.cascade_rule import (
     NEVER,
     LearntRule,
@@ -73,30 +74,8 @@ def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[f
     return pd.DataFrame(rows)
 
 
-def cascade_blocks(table: pd.DataFrame, rule: CascadeRule, threshold_px: float) -> list[Block]:
-    """Return what a page says of the cascade."""
-    head = ("estimator", "without", "always", "cascade", "lost", "won", "cascade over always", "runs preprocessed")
-    rows: list[list[str]] = []
-    at = table[table["threshold_px"] == threshold_px]
-    for group, part in at.groupby("group", sort=False):
-        rows.append([group_title(str(group), int(part["pairs"].iloc[0]))])
-        for row in part.to_dict("records"):
-            counts = [f"{row[name]:.1f}" for name in ("without", "always", "cascade", "lost", "won")]
-            rows.append([row["estimator"], *counts, interval(row, "change", signed), share(row["preprocessed"])])
-    losses = []
-    for threshold, part in table[table["group"] == ALL].groupby("threshold_px", sort=False):
-        worst = max(part.to_dict("records"), key=lambda row: float(row["lost"]))
-        losses.append(f"{worst['estimator']}, {worst['lost']:.1f} of {worst['pairs']} pairs below {threshold:g} px")
-    text = (
-        f"The estimator runs on matches without preprocessing first. {_in_words(rule)} One rule, learnt on rendered "
-        f"validation scenes, serves all estimators. Successes are pairs below {threshold_px:g} px, mean over seeds; "
-        "*lost* and *won* are against always preprocessing. The tolerance of the rule is over all estimators together, "
-        f"so a single one may lose more. The largest losses are: {'; '.join(losses)}."
-    )
-    return [text, Table(head=head, rows=rows)]
-
-
-def _in_words(rule: CascadeRule) -> str:
+def rule_in_words(rule: CascadeRule) -> str:
+    """Return what a rule keeps, as a sentence."""
     if rule == NEVER:
         return "No rule kept to what is tolerated: every pair is preprocessed."
     return (
@@ -109,23 +88,12 @@ def learnt_page(learnt: LearntRule, params: CascadeParams, success_px: float, st
     """Return how the rule was learnt: its outcomes on validation scenes, and the figure of the trade-off."""
     names = ("preprocessed", "lost", "held_out_preprocessed", "held_out_lost")
     rows = [[str(name), *(share(row[n], 1) for n in names)] for name, row in learnt.outcomes.iterrows()]
-    text = (
-        f"{_in_words(learnt.rule)} One rule serves all estimators, chosen on validation scenes: it preprocesses least "
-        f"and loses, against always preprocessing, at most {share(params.tolerance, 1)} of the runs (pair, estimator "
-        f"and seed) below {success_px:g} px and {share(params.strict_tolerance, 1)} below {strict_px:g} px. Held out: "
-        f"each scene under the rule that the other scenes would have chosen. Lost: below {success_px:g} px. What the rule does "
-        'on the test pairs: [performance.md](performance.md), section "Cascade".'
-    )
+    values = {"tolerance": params.tolerance, "strict_tolerance": params.strict_tolerance}
+    about = say("learnt", rule=rule_in_words(learnt.rule), success_px=success_px, strict_px=strict_px, **values)
     head = ("estimator", "preprocessed", "lost", "preprocessed, held out", "lost, held out")
-    picture = Picture(path=figure, alt="Runs lost over runs preprocessed", caption=FIGURE_CAPTION)
-    section = Section(title="The rule on validation scenes", blocks=[Table(head=head, rows=rows), picture])
-    return Page(title="The cascade: preprocessing only where it is needed", about=text, sections=[section])
-
-
-FIGURE_CAPTION = (
-    "Runs lost against runs preprocessed, per estimator: all candidate rules in hindsight (lines), and the chosen one "
-    "(marks). The dashed line is the tolerance."
-)
+    blocks = [Table(head=head, rows=rows), picture("cascade", figure)]
+    section = Section(title="The rule on validation scenes", blocks=blocks)
+    return Page(title="The cascade: preprocessing only where it is needed", about=about, sections=[section])
 
 
 def cascade_figure(

@@ -32,7 +32,7 @@ from epiprior_lab.report.style import (
     styled,
 )
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, calibration_sums
-from epiprior_lab.report.text import ALL, METRIC_TITLES, TARGET_TITLES, group_title, order_of, setting
+from epiprior_lab.report.text import ALL, METRIC_TITLES, PEER_TITLES, TARGET_TITLES, group_title, order_of, setting
 
 CURVE_LIMIT_PX = 20.0
 MIN_BAR = 30  # a share of fewer runs says little
@@ -107,7 +107,7 @@ def curve_figure(results: Results, path: Path) -> None:
 
     Bars are one standard deviation over seeds, as in the paper's figure of results. Inputs of peers are left out.
     """
-    looks = {name: look for name, look in _looks(results.inputs_of_all).items() if name not in ("adalam", "gms")}
+    looks = {name: look for name, look in _looks(results.inputs_of_all).items() if name not in PEER_TITLES}
     groups = results.main[:-1] or results.main
     grid, bars = np.linspace(0, CURVE_LIMIT_PX, 201), np.arange(2.5, CURVE_LIMIT_PX, 2.5)
     rows, columns = len(results.estimators), len(groups)
@@ -268,7 +268,7 @@ def calibration_figure(results: Results, path: Path) -> None:
 
 
 def status_figure(statuses: pd.DataFrame, groups: Sequence[str], path: Path) -> None:
-    """Draw the shares of right and of wrong F that are turned down, ``no_model`` paler; none of fewer than `MIN_BAR`."""
+    """Draw the shares of right and of wrong F that are turned down, ``no_model`` paler; no bar below `MIN_BAR`."""
     looks = _looks([name for name in order_of(statuses["input"]) if name != ALL])
     width = 0.8 / max(len(looks), 1)
     panels = (("right", "right F turned down"), ("wrong", "wrong F turned down"))

@@ -16,6 +16,7 @@ from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
 from epiprior.types import BoolArray, FundamentalEstimate, MatchSet, Status
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.report.page import Block, Page, Picture, Section
+from epiprior_lab.report.prose import say
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.tables import SNN
 from epiprior_lab.report.text import BASELINES, OURS, input_title, share
@@ -213,9 +214,5 @@ def case_blocks(cases: Sequence[Case], folder: str, suffix: str) -> list[Block]:
 
 def write_gallery(cases: Sequence[Case], folder: Path) -> None:
     """Write the page of the pictures on photographs, beside them; it may not be passed on."""
-    about = (
-        "Best matches and epipolar lines, without preprocessing on the left, with it on the right. A run whose status "
-        "is not `ok` has no lines. These photographs belong to others and may not be passed on: this folder is not committed."
-    )
     section = Section(title="Pairs", blocks=case_blocks(cases, ".", "jpg"))
-    Page(title="Rescued and lost pairs", about=about, sections=[section]).write(folder, markdown="")
+    Page(title="Rescued and lost pairs", about=say("kept gallery"), sections=[section]).write(folder, markdown="")

@@ -10,6 +10,7 @@ import pandas as pd
 from epiprior_lab.evaluation.compare import Rates
 from epiprior_lab.evaluation.records import Tables, right_column
 from epiprior_lab.report.page import Page, Picture, Section, Table
+from epiprior_lab.report.prose import say
 
 # Columns of the table: title, input and ranking of the list, input of the estimators that is shown with it.
 LISTS = (
@@ -17,12 +18,6 @@ LISTS = (
     ("X_B, by similarity weight", "paper", "blogs", ""),
     ("ours, as printed", "paper", "final", "paper"),
     ("ours", "default", "final", "default"),
-)
-_ABOUT = (
-    "The paper's Table 1 on rendered test pairs. The pairs were chosen by a rule that knows no outcome: within each "
-    "family at the quantiles {quantiles} of the share of right matches in X_L, so from hard to easy. Ours: the union "
-    "of X, X_L and X_B by probability. Success: how many estimators, and which, have an error below {success_px:g} px "
-    "in most of their seeds (X_B alone is no input of the study)."
 )
 
 
@@ -61,7 +56,7 @@ def table1_page(tables: Tables, quantiles: Sequence[float], success_px: float, *
     for group, pairs in tables.pairs.groupby("group", sort=False):
         blocks = [_pair_table(tables, rates, str(group), name, success_px) for name in named_pairs(pairs, quantiles)]
         sections.append(Section(title=str(group), blocks=blocks))
-    about = _ABOUT.format(quantiles=", ".join(f"{q:g}" for q in quantiles), success_px=success_px)
+    about = say("table1", quantiles=", ".join(f"{q:g}" for q in quantiles), success_px=success_px)
     return Page(title="Named pairs: matches, right ones among the best, who succeeds", about=about, sections=sections)
 
 

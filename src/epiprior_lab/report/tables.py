@@ -108,7 +108,7 @@ def decided(difference: Interval) -> str:
     return "worse" if difference.high < -ROUNDING else "open"
 
 
-def geometry_table(results: Results, *, pose_deg: Sequence[float], recall_at: float, success_px: float) -> pd.DataFrame:
+def geometry_table(results: Results, pose_deg: Sequence[float], recall_at: float, success_px: float) -> pd.DataFrame:
     """Return poses and distances by group, estimator and input.
 
     Parameters

@@ -13,12 +13,12 @@ OURS = "default"
 BASELINES = ("standard", "generalized")  # what an estimator gets without the preprocessing step
 DIFFICULTIES = ("easy", "medium", "hard")
 
+PEER_TITLES: Mapping[str, str] = {"adalam": "AdaLAM", "gms": "GMS"}
 INPUT_TITLES: Mapping[str, str] = {
     "standard": "X_L",
     "generalized": "all similar",
     "snn": "snn",
-    "adalam": "AdaLAM",
-    "gms": "GMS",
+    **PEER_TITLES,
     "paper": "ours, as printed",
     "default": "ours",
 }

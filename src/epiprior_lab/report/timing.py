@@ -12,7 +12,8 @@ from epiprior_lab.evaluation.records import CASCADE
 from epiprior_lab.evaluation.statistics import contribution
 from epiprior_lab.report import figures
 from epiprior_lab.report.bounds import Bound, bound_rows, judge
-from epiprior_lab.report.page import Page, Picture, Section, Table
+from epiprior_lab.report.page import Page, Section, Table
+from epiprior_lab.report.prose import picture
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.tables import write_table
 from epiprior_lab.report.text import ALL, BASELINES, input_title, number, order_of, share
@@ -107,13 +108,9 @@ def write_timings(timings: pd.DataFrame, results: Results, out: Path, threshold_
         "ratio, median of runs",
         "runs preprocessed",
     )
-    pictures = (
-        Picture(path="overhead.png", alt="Time overhead against contribution", caption=OVERHEAD_CAPTION),
-        Picture(path="estimators.png", alt="Seconds per run of each estimator", caption=SECONDS_CAPTION),
-    )
     sections = [
-        Section(title="From images to F", blocks=[Table(head=head, rows=rows), pictures[0]]),
-        Section(title="Each estimator alone", blocks=[pictures[1]]),
+        Section(title="From images to F", blocks=[Table(head=head, rows=rows), picture("overhead", "overhead.png")]),
+        Section(title="Each estimator alone", blocks=[picture("estimators", "estimators.png")]),
         Section(title="Bounds", blocks=[Table(head=("bound", "found", "met"), rows=bound_rows(judged), texts=3)]),
     ]
     number_of_pairs = len(timings[["group", "pair_id"]].drop_duplicates())
@@ -121,13 +118,3 @@ def write_timings(timings: pd.DataFrame, results: Results, out: Path, threshold_
         f"{number_of_pairs} pairs, {timings['estimator'].nunique()} estimators, one run at a time, matching included."
     )
     Page(title="Times", about=about, sections=sections).write(out, markdown="times.md", html="")
-
-
-OVERHEAD_CAPTION = (
-    "Time with the step over time without, matching included, against the contribution; one point per group and "
-    "estimator. The axis of the contribution is logarithmic above 100 %."
-)
-SECONDS_CAPTION = (
-    "Time of each estimator alone, by input, and by whether it succeeded; beside each mark the number of runs. Marks "
-    "of few runs are hollow."
-)

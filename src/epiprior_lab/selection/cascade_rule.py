@@ -10,19 +10,15 @@ runs. The runs of all estimators together tell more, since rarely all are fooled
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from epiprior.types import BoolArray, FloatArray, Status
 from epiprior.verification.cascade import CascadeRule
-from epiprior_lab.compute.tasks import Task, map_tasks
-from epiprior_lab.evaluation.estimates import HandOvers, Row, estimator_rows, match_folder
-from epiprior_lab.features.matching import WITHOUT, store_matches
-from epiprior_lab.pairsets import Pair
+from epiprior_lab.evaluation.inputs import WITHOUT
 from epiprior_lab.params import CascadeParams
 
 PREPROCESSED = "default"
@@ -31,79 +27,23 @@ ALL = "all"
 NEVER = CascadeRule(min_spread=1_000_000, min_plausibility=1.0)
 
 
-def validation_rows(
-    pairs: Sequence[Pair],
-    *,
-    inputs: Mapping[str, Sequence[str]],
-    matched: Sequence[str],
-    seeds: Sequence[int],
-    hand_overs: HandOvers,
-    files: Sequence[Path] = (),
-    workers: int = 1,
-    store: Path | None = None,
-) -> list[Row]:
-    """Run every estimator without and with the preprocessing step.
-
-    Parameters
-    ----------
-    pairs : sequence of Pair
-        Validation pairs.
-    inputs : mapping of str to sequence of str
-        For each estimator its inputs, of which one is without preprocessing.
-    matched : sequence of str
-        The inputs that pairs are matched for: those of the stage whose matches lie in the same `store`, in its order.
-    seeds, hand_overs, files, workers, store
-        As for `epiprior_lab.evaluation.estimates.evaluate_pairs`.
-
-    Returns
-    -------
-    list of dict
-        Rows as in ``results.csv`` of the evaluation, without the family.
-    """
-    with match_folder(store) as folder:
-        kept = store_matches(
-            pairs, matched, folder, files=files, workers=workers, description="match", resume=store is not None
-        )
-        tasks = [
-            Task(
-                name=f"{pair.pair_id} {estimator}",
-                payload={
-                    "pair": pair,
-                    "matches": matches.only(names),
-                    "estimator": estimator,
-                    "seeds": tuple(seeds),
-                    "hand_overs": {name: hand_overs[estimator][name] for name in names},
-                },
-                files=(*pair.files, *matches.paths.values()),
-            )
-            for pair, matches in zip(pairs, kept, strict=True)
-            for estimator, names in inputs.items()
-        ]
-        found = map_tasks(estimator_rows, tasks, workers=workers, description="estimate", store=store)
-    rows: list[Row] = []
-    for k, pair in enumerate(pairs):
-        of_pair = found[k * len(inputs) : (k + 1) * len(inputs)]
-        rows += [{"pair_id": pair.pair_id, "scene": pair.scene, **row} for part in of_pair for row in part]
-    return rows
-
-
 def paired_runs(results: pd.DataFrame) -> pd.DataFrame:
     """Return runs without preprocessing beside the same runs with it.
 
     Parameters
     ----------
     results : DataFrame
-        Rows of the evaluation with columns ``family, pair_id, scene, estimator, input, seed, status, spread,
+        Rows of the evaluation with columns ``group, pair_id, scene, estimator, input, seed, status, spread,
         plausibility, error_px``. Inputs other than `matching.WITHOUT` and ``default`` are left out.
 
     Returns
     -------
     DataFrame
-        One row per family, pair, estimator and seed: ``status``, ``spread`` and ``plausibility`` without
+        One row per group, pair, estimator and seed: ``status``, ``spread`` and ``plausibility`` without
         preprocessing, ``with_status`` with it, and the errors ``without_px``, ``with_px``, infinite without F. The
         verdict decides what a cascade does, not whether its F is right.
     """
-    keys = ["family", "pair_id", "scene", "estimator", "seed"]
+    keys = ["group", "pair_id", "scene", "estimator", "seed"]
     table = results.assign(error_px=results["error_px"].fillna(np.inf))
     without = table[table["input"].isin(WITHOUT)].rename(columns={"error_px": "without_px"})
     with_step = table[table["input"] == PREPROCESSED].rename(columns={"error_px": "with_px", "status": "with_status"})
