@@ -6,14 +6,17 @@ on blank frames of the same size, for the page that is committed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
-from epiprior.types import BoolArray, FundamentalEstimate, MatchSet, Status
+from epiprior.types import BoolArray, Status
+from epiprior_lab.evaluation.inputs import match_pair
+from epiprior_lab.evaluation.protocol import Protocol
+from epiprior_lab.evaluation.runs import estimates
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.report.page import Block, Page, Picture, Section
 from epiprior_lab.report.prose import say
@@ -24,9 +27,6 @@ from epiprior_lab.report.text import BASELINES, OURS, input_title, share
 RESCUED, LOST = "rescued", "lost"
 _BLANK = 235
 _SETTINGS = DrawSettings(max_matches=60, max_panel_size=560)
-
-Estimated = tuple[MatchSet, FundamentalEstimate]
-Estimate = Callable[[Pair, str, str, int], Estimated]  # pair, estimator, input, seed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +163,7 @@ class _Runs:
 
 
 def draw_cases(
-    cases: Sequence[Case], pairs: Mapping[tuple[str, str], Pair], estimate: Estimate, *, photographs: Path, frames: Path
+    cases: Sequence[Case], pairs: Mapping[tuple[str, str], Pair], protocol: Protocol, *, photographs: Path, frames: Path
 ) -> None:
     """Draw every case, on photographs (``.jpg``) and on blank frames (``.png``): ``<name>-<input>``.
 
@@ -173,8 +173,8 @@ def draw_cases(
         As from `choose_cases`.
     pairs : mapping of (group, pair id) to Pair
         Where the photographs are.
-    estimate : callable
-        Runs an estimator once more: pair, estimator, input and seed to the matches that it used and its estimate.
+    protocol : Protocol
+        Of the evaluation: its hand-overs.
     photographs, frames : Path
         Folders, made if absent; that of the photographs must not be passed on.
     """
@@ -183,12 +183,17 @@ def draw_cases(
     for case in cases:
         pair = pairs[case.group, case.pair_id]
         blanks = [np.full((height, width, 3), _BLANK, np.uint8) for width, height in pair.sizes()]
+        matches = match_pair(pair, case.inputs)
         for name, seed in zip(case.inputs, case.seeds, strict=True):
-            used, found = estimate(pair, case.estimator, name, seed)
-            on_photographs = draw_matches(pair.image1, pair.image2, used, found, settings=_SETTINGS)
-            write_picture(photographs / f"{case.name}-{name}.jpg", on_photographs)
-            on_frames = draw_matches(blanks[0], blanks[1], used, found, settings=_SETTINGS)
-            write_picture(frames / f"{case.name}-{name}.png", on_frames)
+            sets = matches.sets[name]
+            one, how = replace(matches, sets={name: sets}), protocol.hand_overs[case.estimator]
+            ((*_, found),) = estimates(one, pair.pair_id, estimator=case.estimator, seeds=(seed,), hand_overs=how)
+            used = next((matched for matched in sets if matched.roll_deg == found.roll_deg), sets[0])
+            for images, file in (
+                ((pair.image1, pair.image2), photographs / f"{case.name}-{name}.jpg"),
+                (blanks, frames / f"{case.name}-{name}.png"),
+            ):
+                write_picture(file, draw_matches(images[0], images[1], used, found, settings=_SETTINGS))
 
 
 def case_blocks(cases: Sequence[Case], folder: str, suffix: str) -> list[Block]:
