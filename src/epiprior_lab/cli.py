@@ -25,9 +25,9 @@ register_importers(app)
 def evaluate(
     folder: Annotated[Path, typer.Argument(help="A pair set in the uniform format, or a folder of pair sets.")],
     sets: Annotated[list[str] | None, typer.Option("--set", help="Only this set; may be repeated.")] = None,
-    estimators: Annotated[list[str], typer.Option("--estimator", help="Gets every input; may be repeated.")] = [
-        "magsac++"
-    ],  # noqa: B006 - typer copies it
+    estimators: Annotated[
+        list[str] | None, typer.Option("--estimator", help="Gets every input; may be repeated; magsac++ by default.")
+    ] = None,
     seeds: Annotated[int, typer.Option(help="Repetitions of each estimate.")] = 3,
     out: Annotated[Path, typer.Option(help="Folder of the tables and the page.")] = Path("data/own-evaluation"),
     scheduler: Annotated[
@@ -36,11 +36,11 @@ def evaluate(
 ) -> None:
     """Evaluate the exported model on pair sets of your own, against X_L and snn."""
     from epiprior_lab.compute.tasks import SCHEDULER_VARIABLE
-    from epiprior_lab.evaluation.folder import evaluate_folder
+    from epiprior_lab.evaluation.folder import ESTIMATOR, evaluate_folder
 
     if scheduler:
         os.environ[SCHEDULER_VARIABLE] = scheduler
-    evaluate_folder(folder, sets=sets, estimators=estimators, seeds=seeds, out=out)
+    evaluate_folder(folder, sets=sets, estimators=estimators or (ESTIMATOR,), seeds=seeds, out=out)
 
 
 @app.command("link-sets")

@@ -80,8 +80,7 @@ def estimate_from_matches(
         raise SettingsError("no set of matches was given")
     options = settings or EstimatorSettings(threshold_px=hand_over.threshold_px)
     start = time.perf_counter()
-    scaled = [_scale(matches, 1 / pixel_factors[0], 1 / pixel_factors[1]) for matches in sets]
-    tried = [_try(matches, estimator, seed, hand_over, options) for matches in scaled]
+    tried = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
     best = max(tried, key=lambda hypothesis: hypothesis.score)
     status, message = _verdict(tried, best, options.threshold_px)
     collected, raw_F = best.collected, None if best.F is None else _to_given_pixels(best.F, pixel_factors)
@@ -108,6 +107,33 @@ def estimate_from_matches(
         spread=spread_of(collected.x1[inliers], collected.x2[inliers]),
         plausibility=known_plausibility(raw_F, given.image_sizes),
     )
+
+
+def best_fundamental(
+    sets: Sequence[MatchSet],
+    *,
+    estimator: str,
+    seed: int = 0,
+    hand_over: HandOver,
+    pixel_factors: tuple[float, float] = (1.0, 1.0),
+) -> FloatArray | None:
+    """Return `raw_F` of `estimate_from_matches` for the same arguments, in about half the time: nothing is verified."""
+    options = EstimatorSettings(threshold_px=hand_over.threshold_px)
+    tried = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
+    best = max(tried, key=lambda hypothesis: hypothesis.score)
+    return None if best.F is None else _to_given_pixels(best.F, pixel_factors)
+
+
+def _try_all(
+    sets: Sequence[MatchSet],
+    estimator: str,
+    seed: int,
+    how: HandOver,
+    options: EstimatorSettings,
+    factors: tuple[float, float],
+) -> list[_Hypothesis]:
+    scaled = [_scale(matches, 1 / factors[0], 1 / factors[1]) for matches in sets]
+    return [_try(matches, estimator, seed, how, options) for matches in scaled]
 
 
 def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:

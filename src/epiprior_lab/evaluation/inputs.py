@@ -42,6 +42,7 @@ WITHOUT = ("standard", "generalized")  # what an estimator gets without the prep
 BASELINES = ("standard", "snn", "generalized")
 PRESETS = ("paper", "default")
 INPUTS = BASELINES + PRESETS
+PREPROCESSED = "default"  # what a cascade falls back on
 
 _MAKERS: Mapping[str, Callable[..., MatchSet]] = {
     "standard": standard_matches,

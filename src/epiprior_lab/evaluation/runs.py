@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from epiprior_lab.pairsets import Pair
 
 EstimatorInputs = Mapping[str, Sequence[str]]
 HandOvers = Mapping[str, Mapping[str, HandOver]]  # by estimator, then by input
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,37 +41,53 @@ def is_deterministic(estimator: str) -> bool:
     return bool(getattr(find_estimator(estimator), "deterministic", False))
 
 
-def estimates(
-    matches: PairMatches, pair_id: str, *, estimator: str, seeds: Sequence[int], hand_overs: Mapping[str, HandOver]
-) -> Iterator[tuple[str, int, FundamentalEstimate]]:
-    """Yield input, seed and estimate for all inputs in `matches`, and for each of them all seeds.
+def each_run(
+    run: Callable[..., Result],
+    matches: PairMatches,
+    pair_id: str,
+    *,
+    estimator: str,
+    seeds: Sequence[int],
+    hand_overs: Mapping[str, HandOver],
+) -> Iterator[tuple[str, int, Result]]:
+    """Yield input, seed and outcome for all inputs in `matches`, and for each of them all seeds.
 
     Parameters
     ----------
+    run : callable
+        `estimate_from_matches`, or what takes the same; of the roll hypotheses the best supported F is kept.
     matches : PairMatches
-        The inputs that the estimator gets; of the roll hypotheses the best supported estimate is kept (section 4.7).
+        The inputs that the estimator gets.
     pair_id : str
         Each seed becomes a child seed of the pair, the same for every input, so that differences are paired.
     estimator : str
-        Name in the registry. A deterministic one runs once, and its estimate is repeated.
+        Name in the registry. A deterministic one runs once, and its outcome is repeated.
     seeds : sequence of int
         One run each.
     hand_overs : mapping of str to HandOver
         Per input.
     """
-    once = is_deterministic(estimator)
+    different = seeds[:1] if is_deterministic(estimator) else seeds
     for name, sets in matches.sets.items():
-        estimate: FundamentalEstimate | None = None
-        for seed in seeds:
-            if estimate is None or not once:
-                estimate = estimate_from_matches(
-                    sets,
-                    estimator=estimator,
-                    seed=child_seed(seed, pair_id),
-                    hand_over=hand_overs[name],
-                    pixel_factors=matches.pixel_factors,
-                )
-            yield name, seed, estimate
+        found = [
+            run(
+                sets,
+                estimator=estimator,
+                seed=child_seed(seed, pair_id),
+                hand_over=hand_overs[name],
+                pixel_factors=matches.pixel_factors,
+            )
+            for seed in different
+        ]
+        for k, seed in enumerate(seeds):
+            yield name, seed, found[min(k, len(found) - 1)]
+
+
+def estimates(
+    matches: PairMatches, pair_id: str, *, estimator: str, seeds: Sequence[int], hand_overs: Mapping[str, HandOver]
+) -> Iterator[tuple[str, int, FundamentalEstimate]]:
+    """Yield input, seed and estimate for all inputs and seeds, as `each_run`."""
+    return each_run(estimate_from_matches, matches, pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs)
 
 
 def error_px(estimate: FundamentalEstimate, truth: Truth) -> float:

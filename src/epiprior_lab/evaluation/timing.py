@@ -11,15 +11,13 @@ from dataclasses import replace
 
 from epiprior.types import FundamentalEstimate, Status
 from epiprior.verification.cascade import CascadeRule
-from epiprior_lab.evaluation.inputs import INPUTS, WITHOUT, match_pair
+from epiprior_lab.evaluation.inputs import INPUTS, PREPROCESSED, PRESETS, WITHOUT, match_pair
 from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.records import CASCADE, TimingRecord
 from epiprior_lab.evaluation.runs import error_px, estimates
 from epiprior_lab.evaluation.truth import pair_truth
 from epiprior_lab.features.detection import detect_pair
 from epiprior_lab.pairsets import Pair
-
-_PREPROCESSED = "default"  # what the cascade falls back on
 
 
 def spread_pairs(pairs: Sequence[Pair], count: int) -> list[Pair]:
@@ -75,14 +73,14 @@ def time_pair(
                     seconds_matching=matching,
                     seconds_estimator=running,
                     seconds_total=features + matching + running,
-                    preprocessed=name not in WITHOUT and name != "snn",
+                    preprocessed=name in PRESETS,
                     error_px=error_px(estimate, truth),
                 )
                 found[estimator, seed, name] = record, estimate
     cascades = [
-        _cascade(found[estimator, seed, name], found[estimator, seed, _PREPROCESSED], rule)
+        _cascade(found[estimator, seed, name], found[estimator, seed, PREPROCESSED], rule)
         for estimator, seed, name in found
-        if name in WITHOUT and (estimator, seed, _PREPROCESSED) in found
+        if name in WITHOUT and (estimator, seed, PREPROCESSED) in found
     ]
     return [*(record for record, _ in found.values()), *cascades]
 
