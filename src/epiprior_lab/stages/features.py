@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
 from epiprior_lab.features.rows import extract_rows, rows_to_bytes
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.pairsets import Pair, read_pair_set
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 
 
 def extract(pair: Pair, presets: Sequence[str], labels: LabelSettings) -> dict[str, list[bytes]]:
@@ -21,10 +20,9 @@ def extract(pair: Pair, presets: Sequence[str], labels: LabelSettings) -> dict[s
 
 def main() -> None:
     """Write ``data/features/<preset>/<pair_id>-<hypothesis>.npz`` for every preset and training pair."""
-    params = load_params()
+    params = load_study()
     presets = params.features.presets
-    truth = asdict(params.ground_truth)
-    labels = LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__})
+    labels = LabelSettings.of(params.truth)
     pairs = [pair for folder in params.features.pair_sets for pair in read_pair_set(Path(folder)).pairs]
     tasks = [
         Task(name=pair.pair_id, payload={"pair": pair, "presets": presets, "labels": labels}, files=pair.files)

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from epiprior_lab.compute.tasks import default_workers
-from epiprior_lab.params import TrainParams, load_params
+from epiprior_lab.params import TrainParams, load_study
 from epiprior_lab.tracking import TrackedFamily, track
 from epiprior_lab.training.classifiers import Comparison
 from epiprior_lab.training.model_training import PresetTraining, train_preset
@@ -15,7 +15,7 @@ from epiprior_lab.training.training_tables import seconds_csv, write_training
 
 def main() -> None:
     """Write ``data/training/<preset>/`` and ``data/timings/train-<preset>.csv`` for every preset."""
-    params = load_params()
+    params = load_study()
     for preset in params.features.presets:
         _train(preset, params.train)
 
