@@ -80,9 +80,7 @@ def analyse_pair(
         whole=tuple(oracles.Labelled(matches=m, right=r, pixel=pixel) for m, r in zip(whole, right, strict=True)),
     )
     estimators = (settings.estimator, *(settings.others if complete else ()), settings.beyond)
-    ours = {
-        name: list(bench.estimated("oracle", "default", "final", whole, name, "default")) for name in estimators
-    }
+    ours = {name: list(bench.estimated("oracle", "default", "final", whole, name, "default")) for name in estimators}
     records: list[Record] = [*_steps(bench, paper, () if complete else settings.others)]
     for variant, name in (("default", settings.estimator), ("beyond", settings.beyond)):
         records += [replace(record, experiment="steps", variant=variant) for record in ours[name]]

@@ -91,16 +91,18 @@ class Bench:
         """Yield a record per seed: what the estimator makes of the sets, handed over as those of the input `kind`."""
         matches = PairMatches(sets={kind: tuple(sets)}, pixel_factors=self.factors)
         for _, seed, found in estimates(
-            matches, self.pair.pair_id, estimator=estimator, seeds=self.settings.seeds, hand_overs=self.hand_overs[estimator]
+            matches,
+            self.pair.pair_id,
+            estimator=estimator,
+            seeds=self.settings.seeds,
+            hand_overs=self.hand_overs[estimator],
         ):
             yield self._record(experiment, variant, ranking, estimator, seed, found.raw_F, str(found.status))
 
     def known(self, experiment: str, variant: str, ranking: str, F: FloatArray | None) -> Iterator[VariantRecord]:
         """Yield a record per seed, all alike, for a matrix that no estimator chose."""
         for seed in self.settings.seeds:
-            yield self._record(
-                experiment, variant, ranking, NO_ESTIMATOR, seed, F, "no_model" if F is None else "ok"
-            )
+            yield self._record(experiment, variant, ranking, NO_ESTIMATOR, seed, F, "no_model" if F is None else "ok")
 
     def error_px(self, F: FloatArray | None) -> float:
         """Return the mean Sampson distance of the control points, the paper's measure; NaN without F."""

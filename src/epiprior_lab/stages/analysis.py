@@ -52,6 +52,7 @@ def main() -> None:
             Tables.read([Path(evaluate.out) / group for group in evaluate.groups]),
             pairs,
             OUT,
+            estimator=own.estimators[0],
             thresholds_px=(report.success_px, report.strict_px),
             quantiles=own.table_quantiles,
             refined=own.refined_hypotheses,
