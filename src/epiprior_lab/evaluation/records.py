@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 import pandas as pd
 
 from epiprior.errors import EpipriorError
-from epiprior_lab.evaluation.statistics import log_ranks
+from epiprior_lab.measures import log_ranks
 
 RANKS = tuple(sorted({*(int(rank) for rank in log_ranks(10_000, per_decade=10)), 10, 100, 500}))
 RANKINGS = ("lowe", "blogs", "2keypoint", "sfm", "final")  # of ranked inputs; others have `final` alone

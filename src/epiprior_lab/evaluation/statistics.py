@@ -28,7 +28,6 @@ from epiprior_lab.measures import (
 )
 
 __all__ = [
-    "RANKING_DEPTHS",
     "CalibrationBins",
     "Comparison",
     "Interval",
@@ -45,8 +44,6 @@ __all__ = [
     "success_curve",
     "successes",
 ]
-
-RANKING_DEPTHS = (10, 100, 500)
 
 
 @dataclass(frozen=True, kw_only=True)
