@@ -42,10 +42,10 @@ def link_sets(
     params: Annotated[Path, typer.Option(help="Parameters that name the sets.")] = Path("benchmarks/real/params.yaml"),
 ) -> None:
     """Link the pair sets of the benchmark on photographs into data/real."""
-    from epiprior_lab.evaluation.photographs.params import load_real_params
     from epiprior_lab.evaluation.photographs.sets import link_sets
+    from epiprior_lab.params import load_params
 
-    for path in link_sets(load_real_params(params).sets, source):
+    for path in link_sets(load_params(params).evaluate.groups, source):
         typer.echo(f"{path} -> {path.resolve()}" if path.is_symlink() else str(path))
 
 

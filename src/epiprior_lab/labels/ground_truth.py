@@ -8,7 +8,8 @@ comes from the cameras, or is fitted to all control points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -18,6 +19,7 @@ from epiprior.errors import SettingsError
 from epiprior.geometry import MIN_MATCHES, as_points, eight_point, normalise_fundamental, sampson_distance
 from epiprior.types import BoolArray, Float32Array, FloatArray
 from epiprior_lab.pairsets import Camera, DatasetError, Pair, covisible, depth_at, reproject, transfer
+from epiprior_lab.params import TruthParams
 
 _RIM_REACH_PX = (1.0, 4.0)
 _RIM_BEND = 0.1
@@ -49,6 +51,11 @@ class LabelSettings:
     tolerance_sigma: float = 0.5
     depth_tolerance: float = 0.02
     epipolar_px: float = 2.0
+
+    @classmethod
+    def of(cls, truth: TruthParams) -> Self:
+        """Return the tolerances of a parameter file."""
+        return cls(**{part.name: getattr(truth, part.name) for part in fields(cls)})
 
     def __post_init__(self) -> None:
         for name in ("tolerance_px", "epipolar_px"):

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from epiprior_lab.params import BoundParams
 from epiprior_lab.report.performance import DUEL_INPUTS, ROUNDING
 from epiprior_lab.report.study import ReportError
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundParams:
+    """What the study wants to reach, as in ``benchmarks/bounds.yaml``."""
+
+    hard_families: tuple[str, ...] = ("facades-hard", "open")
+    easy_families: tuple[str, ...] = ("facades-easy",)
+    contribution: Mapping[str, float] = field(default_factory=lambda: {"usac": 0.6, "beem": 0.3, "blogs": 0.4})
+    easy_loss: float = 0.01
+
 
 Cells = dict[tuple[str, str], dict[Any, Any]]
 

@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from epiprior.errors import EpipriorError
-from epiprior_lab.evaluation.photographs.params import PARAMS, load_real_params
-from epiprior_lab.params import load_params
+from epiprior_lab.params import PHOTOGRAPHS, load_params
 from epiprior_lab.report.markdown import bounds_lines, duel_lines, markdown_table, successes_lines
 from epiprior_lab.report.photographs.wording import bound_rows, set_lines, split_lines, time_lines
 from epiprior_lab.report.study import read_table
@@ -81,17 +80,17 @@ def _successes(root: Path) -> list[str]:
 def _duel(root: Path) -> list[str]:
     report = load_params(root / "params.yaml").report
     table = read_table(root / "reports" / "duel.csv", _DUEL)
-    return duel_lines(table, report.success_px, report.bounds.hard_families)
+    return duel_lines(table, report.success_px, report.hard_groups)
 
 
 def _bounds(root: Path) -> list[str]:
-    champion = load_params(root / "params.yaml").report.bounds.champion
+    champion = load_params(root / "params.yaml").report.champion
     return bounds_lines(read_table(root / "reports" / "bounds.csv", _BOUNDS), champion)
 
 
 def _photographs(root: Path) -> list[str]:
     """Return the successes on photographs: per split and estimator, then per set of the gallery's estimator."""
-    tables, report = root / _REAL, load_real_params(root / PARAMS).report
+    tables, report = root / _REAL, load_params(root / PHOTOGRAPHS).report
     successes = read_table(tables / "successes.csv", _REAL_SUCCESSES)
     rankings = read_table(tables / "rankings.csv", "group ranking precision_100")
     sets = read_table(tables / "sets.csv", "set title state pairs").fillna({"state": ""})

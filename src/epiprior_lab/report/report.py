@@ -7,7 +7,7 @@ from pathlib import Path
 
 from epiprior_lab.params import ReportParams
 from epiprior_lab.report import figures, success_figures
-from epiprior_lab.report.bounds import bounds_table
+from epiprior_lab.report.bounds import BoundParams, bounds_table
 from epiprior_lab.report.classifier_figure import classifier_figure
 from epiprior_lab.report.hand_over_figure import hand_over_figure
 from epiprior_lab.report.html import PageTables, write_page
@@ -58,7 +58,7 @@ def write_report(study: Study, photographs: Mapping[str, Path], out: Path, param
         write_table(tables.verdicts, out / "verdicts.csv"),
         out / "performance.md",
     ]
-    champion = params.bounds.champion
+    champion = params.champion
     markdown = performance_markdown(tables.performance, tables.duels, tables.bounds, champion)
     verdicts = "\n".join(["", *verdict_markdown(tables.verdicts, params.success_px), ""])
     (out / "performance.md").write_text(markdown + verdicts, encoding="utf-8", newline="\n")
@@ -79,11 +79,11 @@ def _tables(study: Study, params: ReportParams) -> PageTables:
     thresholds = (params.success_px, params.strict_px)
     draws, seed = params.bootstrap_draws, params.seed
     performance = performance_table(study, thresholds_px=thresholds, draws=draws, seed=seed)
-    duels = duel_table(study, params.bounds.champion, thresholds_px=thresholds, draws=draws, seed=seed)
+    duels = duel_table(study, params.champion, thresholds_px=thresholds, draws=draws, seed=seed)
     return PageTables(
         performance=performance,
         duels=duels,
-        bounds=bounds_table(performance, duels, params.bounds, success_px=params.success_px, thresholds_px=thresholds),
+        bounds=bounds_table(performance, duels, BoundParams(), success_px=params.success_px, thresholds_px=thresholds),
         rankings=ranking_table(study),
         calibration=calibration_table(study),
         classifiers=classifier_table(study),
@@ -94,11 +94,10 @@ def _tables(study: Study, params: ReportParams) -> PageTables:
 
 
 def _figures(study: Study, tables: PageTables, at: Path, params: ReportParams) -> dict[str, Path]:
-    bounds = params.bounds
     return {
         "performance": success_figures.performance_figure(tables.performance, at / "performance.png"),
         "successes": success_figures.success_figure(study, at / "successes.png"),
-        "duels": success_figures.duel_figure(tables.duels, bounds.champion, bounds.hard_families, at / "duels.png"),
+        "duels": success_figures.duel_figure(tables.duels, params.champion, params.hard_groups, at / "duels.png"),
         "rankings": figures.ranking_figure(study, at / "rankings.png"),
         "roll": figures.roll_figure(study, at / "roll.png"),
         "calibration": figures.calibration_figure(study, at / "calibration.png"),

@@ -137,7 +137,7 @@ def lost_runs(runs: pd.DataFrame, kept: BoolArray, threshold_px: float) -> BoolA
 
 def candidate_rules(params: CascadeParams) -> list[CascadeRule]:
     """Return the rules that are tried, strictest first."""
-    grid = itertools.product(sorted(params.min_plausibility, reverse=True), sorted(params.min_spread, reverse=True))
+    grid = itertools.product(sorted(params.min_plausibility, reverse=True), (0,))
     return [NEVER, *(CascadeRule(min_spread=spread, min_plausibility=least) for least, spread in grid)]
 
 
@@ -207,7 +207,7 @@ def _choose(kept: BoolArray, lost: BoolArray, params: CascadeParams) -> int:
     """Return the number of the rule that keeps most of those with a margin; `kept` is (R, N), `lost` is (2, R, N)."""
     tolerances = np.array([params.tolerance, params.strict_tolerance])
     within = (lost.mean(axis=2) <= tolerances[:, None]).all(axis=0)
-    grid = within[1:].reshape(len(params.min_plausibility), len(params.min_spread))  # strictest first, after NEVER
+    grid = within[1:].reshape(len(params.min_plausibility), 1)  # strictest first, after NEVER
     safe = grid.copy()
     safe[:-1] &= grid[1:]
     safe[:, :-1] &= grid[:, 1:]

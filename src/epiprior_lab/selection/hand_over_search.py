@@ -39,8 +39,8 @@ _VARIED = {
     "standard": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
     "snn": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
     "generalized": ("top_k", "threshold_px", "one_to_one", "refine", "collect"),
-    "paper": ("top_k", "min_probability", "threshold_px", "one_to_one"),
-    "default": ("top_k", "min_probability", "threshold_px", "refine", "collect", "spread", "one_to_one"),
+    "paper": ("top_k", "threshold_px", "one_to_one"),
+    "default": ("top_k", "threshold_px", "refine", "collect", "one_to_one"),
 }
 
 
@@ -321,8 +321,6 @@ def _variations(place: Place, varied: Coordinates, step: int, known: Trial | Non
         return []
     setting, values = varied[step]
     start = known.how if known else starting_point(*place)
-    if setting == "spread" and start.top_k is None:
-        return []  # spread is a share of top_k
     variations = dict.fromkeys((start, *(replace(start, **{setting: value}) for value in values)))
     return [how for how in variations if known is None or how != start]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 from epiprior.estimators.handover import load_hand_overs
@@ -12,7 +11,7 @@ from epiprior_lab.compute.tasks import default_workers, single_threaded
 from epiprior_lab.evaluation.estimates import study_pairs
 from epiprior_lab.features.matching import PRESETS, model_files
 from epiprior_lab.labels.ground_truth import LabelSettings
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 from epiprior_lab.report.analysis_page import write_analysis
 from epiprior_lab.report.analysis_tables import Analysis
 from epiprior_lab.report.table1 import FamilyResults
@@ -23,28 +22,27 @@ OUT = Path("reports/analysis")
 
 def main() -> None:
     """Write ``data/analysis/*.csv`` and everything in ``reports/analysis``."""
-    params = load_params()
-    bounds, own = params.report.bounds, params.analysis
-    truth = asdict(params.ground_truth)
+    params = load_study()
+    report, own = params.report, params.analysis
     settings = AnalysisSettings(
         estimator=own.estimators[0],
         others=own.estimators[1:],
-        beyond=bounds.champion,
+        beyond=report.champion,
         seeds=params.evaluate.seeds,
         two_keypoint_counts=own.two_keypoint_counts,
         refined_hypotheses=own.refined_hypotheses,
-        success_px=params.report.success_px,
+        success_px=report.success_px,
     )
     hand_overs = load_hand_overs(Path("models/hand_over.json"))
     analysis = analyse_pairs(
         {
-            family: study_pairs("test", family)[: own.pairs_per_family]
-            for family in (*bounds.hard_families, *bounds.easy_families)
+            family: study_pairs("test", family)[: own.pairs_per_group]
+            for family in (*report.hard_groups, *report.easy_groups)
         },
-        complete=bounds.hard_families,
+        complete=report.hard_groups,
         settings=settings,
         hand_overs=hand_overs,
-        labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
+        labels=LabelSettings.of(params.truth),
         files=model_files(Path("models"), PRESETS),
         workers=default_workers(),
         store=Path("data/.tasks/analysis"),
@@ -57,11 +55,11 @@ def main() -> None:
             {family: FamilyResults.read(Path("data/evaluation") / family) for family in families},
             {family: study_pairs("test", family) for family in families},
             OUT,
-            thresholds_px=(params.report.success_px, params.report.strict_px),
+            thresholds_px=(report.success_px, report.strict_px),
             quantiles=own.table_quantiles,
             refined=own.refined_hypotheses,
-            draws=params.report.bootstrap_draws,
-            seed=params.report.seed,
+            draws=report.bootstrap_draws,
+            seed=report.seed,
         )
 
 

@@ -11,7 +11,7 @@ from epiprior.verification.cascade import save_cascade_rule
 from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.estimates import study_pairs
 from epiprior_lab.features.matching import WITHOUT, model_files
-from epiprior_lab.params import Params, load_params
+from epiprior_lab.params import StudyParams, load_study
 from epiprior_lab.report.cascade_figure import cascade_figure
 from epiprior_lab.report.cascade_tables import cascade_markdown, cascade_table
 from epiprior_lab.report.study import COLUMNS, read_table
@@ -21,7 +21,7 @@ from epiprior_lab.selection.cascade_rule import PREPROCESSED, learn_rule, paired
 OUT = Path("reports")
 
 
-def validation_runs(params: Params) -> pd.DataFrame:
+def validation_runs(params: StudyParams) -> pd.DataFrame:
     """Return the runs on validation scenes; matches are in the store of the stage `hand_over`."""
     hand_overs = load_hand_overs(Path("models/hand_over.json"))
     inputs = {
@@ -43,7 +43,7 @@ def validation_runs(params: Params) -> pd.DataFrame:
     return paired_runs(pd.DataFrame([{"family": family_of[row["pair_id"]], **row} for row in rows]))
 
 
-def evaluated_runs(params: Params) -> pd.DataFrame:
+def evaluated_runs(params: StudyParams) -> pd.DataFrame:
     """Return the runs of the evaluation on test pairs."""
     tables = (
         read_table(Path("data/evaluation") / family / "results.csv", f"{COLUMNS['results']} spread plausibility")
@@ -54,7 +54,7 @@ def evaluated_runs(params: Params) -> pd.DataFrame:
 
 def main() -> None:
     """Write ``models/cascade.json`` and ``reports/cascade.{csv,md,png}``."""
-    params = load_params()
+    params = load_study()
     thresholds = (params.report.success_px, params.report.strict_px)
     validation = validation_runs(params)
     learnt = learn_rule(validation, params.cascade, success_px=thresholds[0], strict_px=thresholds[1])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 
 from epiprior.estimators.handover import load_hand_overs
@@ -20,14 +19,13 @@ def main() -> None:
     parser.add_argument("--family", required=True)
     family = parser.parse_args().family
     params = load_params()
-    truth = asdict(params.ground_truth)
     evaluation = evaluate_pairs(
         study_pairs("test", family),
         family=family,
         inputs=params.evaluate.inputs_by_estimator,
         seeds=params.evaluate.seeds,
         hand_overs=load_hand_overs(Path("models/hand_over.json")),
-        labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
+        labels=LabelSettings.of(params.truth),
         files=model_files(Path("models"), params.evaluate.all_inputs),
         workers=default_workers(),
         store=Path("data/.tasks/evaluate") / family,

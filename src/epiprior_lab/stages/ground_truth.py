@@ -17,7 +17,7 @@ from epiprior_lab.pairsets import (
     write_control_points,
     write_table,
 )
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 
 SUMMARY = ("pair_id", "scene", "angle_deg", "overlap", "scale_ratio", "roll_deg", "control_points")
 
@@ -34,7 +34,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--split", required=True, choices=("train", "validation", "test"))
     split = parser.parse_args().split
-    params = load_params()
+    params = load_study()
     truth = params.ground_truth
     for family in params.scenes.families:
         pairs = read_pair_set(Path("data/scenes") / split / family).pairs

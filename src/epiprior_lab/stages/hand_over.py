@@ -8,13 +8,13 @@ from epiprior.estimators.handover import save_hand_overs
 from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.estimates import study_pairs, write_rows
 from epiprior_lab.features.matching import model_files
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 from epiprior_lab.selection.hand_over_search import chosen_hand_overs, search_hand_overs
 
 
 def main() -> None:
     """Write ``models/hand_over.json`` and ``data/hand_over/search.csv``."""
-    params = load_params()
+    params = load_study()
     pairs = [pair for family in params.scenes.families for pair in study_pairs("validation", family)]
     best, trials = search_hand_overs(
         pairs,

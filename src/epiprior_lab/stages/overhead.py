@@ -11,7 +11,7 @@ from rich.progress import track
 from epiprior.estimators.handover import load_hand_overs
 from epiprior_lab.evaluation.estimates import study_pairs
 from epiprior_lab.evaluation.overhead import estimator_table, measure_pair, overhead_table
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 from epiprior_lab.report.cascade_tables import cascade_seconds
 from epiprior_lab.report.study import COLUMNS, read_table
 from epiprior_lab.report.tables import write_table
@@ -22,14 +22,12 @@ OUT = Path("reports/timings")
 
 def main() -> None:
     """Write ``reports/timings/{pairs,overhead,estimators,cascade}.csv`` and ``{overhead,estimators}.png``."""
-    params = load_params()
-    families, seeds = params.scenes.families, params.overhead.seeds
+    params = load_study()
+    families, seeds = params.scenes.families, params.timing.seeds
     inputs = params.evaluate.inputs_by_estimator
     hand_overs = load_hand_overs(Path("models/hand_over.json"))
     pairs = [
-        (family, pair)
-        for family in families
-        for pair in study_pairs("test", family)[: params.overhead.pairs_per_family]
+        (family, pair) for family in families for pair in study_pairs("test", family)[: params.timing.pairs_per_group]
     ]
     rows = []
     measure_pair(pairs[0][1], inputs, hand_overs, seeds[:1])  # compiles kernels, loads models

@@ -10,18 +10,18 @@ from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior_lab.compute.tasks import SCHEDULER_VARIABLE, default_workers
 from epiprior_lab.evaluation.estimates import HandOvers
 from epiprior_lab.evaluation.photographs.evaluation import evaluate_set
-from epiprior_lab.evaluation.photographs.params import RealParams, load_real_params
 from epiprior_lab.features.matching import model_files
 from epiprior_lab.pairsets import read_pair_set
+from epiprior_lab.params import PHOTOGRAPHS, Params, load_params
 
 
-def real_hand_overs(params: RealParams) -> HandOvers:
+def real_hand_overs(params: Params) -> HandOvers:
     """Return the hand-over of every estimator and input: as chosen on rendered scenes, or whole."""
     chosen = load_hand_overs(Path("models/hand_over.json"))
-    whole = {*params.whole, *(params.peers or ())}
+    whole = {*(params.evaluate.whole or ()), *(params.evaluate.peers or ())}
     return {
         estimator: {name: HandOver() if name in whole else chosen[estimator][name] for name in names}
-        for estimator, names in params.inputs.items()
+        for estimator, names in params.evaluate.inputs_and_peers.items()
     }
 
 
@@ -34,11 +34,11 @@ def main() -> None:
     name: str = arguments.name
     if arguments.scheduler:
         os.environ[SCHEDULER_VARIABLE] = arguments.scheduler
-    params = load_real_params()
+    params = load_params(PHOTOGRAPHS)
     evaluation = evaluate_set(
         read_pair_set(Path("data/real") / name).pairs,
         name=name,
-        inputs=params.inputs,
+        inputs=params.evaluate.inputs_and_peers,
         seeds=params.evaluate.seeds,
         hand_overs=real_hand_overs(params),
         truth=params.truth,

@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.progress import track
 
 from epiprior.verification.cascade import load_cascade_rule
-from epiprior_lab.evaluation.photographs.params import load_real_params
 from epiprior_lab.evaluation.photographs.timing import bounds_of_time, measure_pair, overhead_table
 from epiprior_lab.pairsets import Pair, read_pair_set
+from epiprior_lab.params import PHOTOGRAPHS, load_params
 from epiprior_lab.report.photographs.tables import write_real_table
 from epiprior_lab.stages.real_evaluate import real_hand_overs
 
@@ -20,14 +20,14 @@ OUT = Path("reports/real/timings")
 
 def main() -> None:
     """Write ``reports/real/timings/{pairs,overhead,bounds}.csv``."""
-    params = load_real_params()
+    params = load_params(PHOTOGRAPHS)
     timing, rule = params.timing, load_cascade_rule(Path("models/cascade.json"))
     inputs, hand_overs = params.evaluate.inputs_by_estimator, real_hand_overs(params)
     pairs = [
         (name, pair)
-        for name in params.sets
-        if name not in params.apart
-        for pair in _spread(read_pair_set(Path("data/real") / name).pairs, timing.pairs_per_set)
+        for name in params.evaluate.groups
+        if name not in (params.evaluate.apart or ())
+        for pair in _spread(read_pair_set(Path("data/real") / name).pairs, timing.pairs_per_group)
     ]
     rows = []
     measure_pair(pairs[0][1], inputs, hand_overs, rule, timing.seeds[:1])  # compiles kernels, loads models
@@ -37,7 +37,7 @@ def main() -> None:
     overhead = overhead_table(timings)
     write_real_table(timings, OUT / "pairs.csv")
     write_real_table(overhead, OUT / "overhead.csv")
-    write_real_table(bounds_of_time(overhead, timing), OUT / "bounds.csv")
+    write_real_table(bounds_of_time(overhead), OUT / "bounds.csv")
 
 
 def _spread(items: tuple[Pair, ...], count: int) -> list[Pair]:

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from epiprior_lab.compute.tasks import default_workers
-from epiprior_lab.evaluation.photographs.params import load_real_params
 from epiprior_lab.evaluation.photographs.peer_matching import write_peer_matches
 from epiprior_lab.pairsets import read_pair_set
+from epiprior_lab.params import PHOTOGRAPHS, load_params
 
 
 def main() -> None:
@@ -16,10 +16,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--set", required=True, dest="name")
     name: str = parser.parse_args().name
-    params = load_real_params()
+    params = load_params(PHOTOGRAPHS)
     write_peer_matches(
         read_pair_set(Path("data/real") / name).pairs,
-        params.peers or (),
+        params.evaluate.peers or (),
         Path("data/peers") / name,
         workers=default_workers(),
         store=Path("data/.tasks/peers") / name,

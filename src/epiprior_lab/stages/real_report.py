@@ -6,8 +6,8 @@ from pathlib import Path
 
 from epiprior.verification.cascade import load_cascade_rule
 from epiprior_lab.compute.tasks import single_threaded
-from epiprior_lab.evaluation.photographs.params import load_real_params
 from epiprior_lab.pairsets import read_pair_set
+from epiprior_lab.params import PHOTOGRAPHS, load_params
 from epiprior_lab.report.photographs.gallery import choose_cases, draw_cases
 from epiprior_lab.report.photographs.report import make_tables, write_report
 from epiprior_lab.report.photographs.results import Photographs
@@ -19,14 +19,15 @@ GALLERY = Path("data/photographs-gallery")
 
 def main() -> None:
     """Write everything in ``reports/real`` but the timings, and ``data/photographs-gallery``."""
-    params = load_real_params()
-    photographs = Photographs.read(Path("data/photographs"), sets=params.sets, apart=params.apart)
-    report = params.report
+    params = load_params(PHOTOGRAPHS)
+    report, sets = params.report, params.evaluate.groups
+    photographs = Photographs.read(Path("data/photographs"), sets=sets, apart=params.evaluate.apart or ())
+    assert report.gallery is not None
     cases = choose_cases(photographs, report.gallery, success_px=report.success_px, seeds=params.evaluate.seeds)
     shown = {case.set_name for case in cases}
     pairs = {
         (name, pair.pair_id): pair
-        for name in params.sets
+        for name in sets
         if name in shown
         for pair in read_pair_set(Path("data/real") / name).pairs
     }

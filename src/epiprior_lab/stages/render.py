@@ -7,7 +7,6 @@ drawn anew. Training takes every scene.
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,7 +15,7 @@ from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import PairFiles, encode_depth, read_pair_set, write_pair_set
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 from epiprior_lab.scenes import SceneError, render_pair
 from epiprior_lab.scenes.photography import encode_jpeg
 
@@ -72,9 +71,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--split", required=True, choices=("train", "validation", "test"))
     split = parser.parse_args().split
-    params = load_params()
-    scenes, truth = params.scenes, asdict(params.ground_truth)
-    labels = LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__})
+    params = load_study()
+    scenes = params.scenes
+    labels = LabelSettings.of(params.truth)
     names = {
         family: [f"{family}-{split}-{number:04d}" for number in range(getattr(scenes.pairs, split)[family])]
         for family in scenes.families

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from epiprior_lab.compute.tasks import single_threaded
 from epiprior_lab.evaluation.estimates import study_pairs
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 from epiprior_lab.report.contact_sheet import contact_sheet
 from epiprior_lab.report.example import example_figure, rescued_pair
 from epiprior_lab.report.report import write_report
@@ -18,7 +18,7 @@ SHOWN = "facades-hard"  # the family whose rescued pair is drawn
 
 def main() -> None:
     """Write everything in ``reports/`` but the timings."""
-    params = load_params()
+    params = load_study()
     families = params.scenes.families
     study = Study.read(
         Path("data"), Path("data/hand_over/search.csv"), families=families, presets=params.features.presets

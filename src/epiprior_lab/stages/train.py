@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from epiprior_lab.compute.tasks import default_workers
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 from epiprior_lab.tracking import track
 from epiprior_lab.training.comparison import train
 from epiprior_lab.training.tables import seconds_csv, write_training
@@ -15,7 +15,7 @@ from epiprior_lab.training.tracked_runs import tracked_runs
 
 def main() -> None:
     """Write ``data/training/<preset>/`` and ``data/timings/train-<preset>.csv`` for every preset."""
-    params = load_params()
+    params = load_study()
     folders = {preset: Path("data/features") / preset for preset in params.features.presets}
     trained = train(folders, params.train, workers=default_workers(), store=Path("data/.tasks/train"))
     timings = Path("data/timings")

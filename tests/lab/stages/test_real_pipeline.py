@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from epiprior_lab.compute.source_graph import SOURCE, source_files
-from epiprior_lab.evaluation.photographs.params import RealParams, load_real_params
+from epiprior_lab.params import Params, load_params
 
 ROOT = Path(__file__).parents[3]
 FOLDER = ROOT / "benchmarks" / "real"
@@ -67,11 +67,11 @@ def test_a_stage_lists_the_parameters_that_it_reads(name):
         elif isinstance(node, ast.Name):
             read |= BEHIND.get(node.id, set()) if node.id == "real_hand_overs" else set()
     assert read == listed
-    assert read <= RealParams.__dataclass_fields__.keys()
+    assert read <= Params.__dataclass_fields__.keys()
 
 
 def test_every_set_is_evaluated_and_reported():
-    sets = set(load_real_params(ROOT / PARAMS).sets)
+    sets = set(load_params(ROOT / PARAMS).evaluate.groups)
     assert PIPELINE["evaluate"]["matrix"] == PIPELINE["peers"]["matrix"] == {"set": "${sets}"}
     for name in ("report", "overhead"):
         assert {dep.removeprefix("data/real/") for dep in PIPELINE[name]["deps"] if "data/real/" in dep} == sets
@@ -92,7 +92,7 @@ def resolved():
 
 def test_paths_are_from_the_root_and_photographs_stay_out_of_git():
     stages = resolved()
-    assert len(stages) == 2 * len(load_real_params(ROOT / PARAMS).sets) + 2
+    assert len(stages) == 2 * len(load_params(ROOT / PARAMS).evaluate.groups) + 2
     assert {Path(stage.wdir) for stage in stages} == {ROOT}
     for stage in stages:
         for out in stage.outs:

@@ -18,11 +18,11 @@ from epiprior.types import FundamentalEstimate
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.photographs.estimator_code import check_code
 from epiprior_lab.evaluation.photographs.measures import pose_errors, symmetric_distance
-from epiprior_lab.evaluation.photographs.params import MeasureParams
 from epiprior_lab.evaluation.photographs.truth import Truth
 from epiprior_lab.features.matching import MatchFiles, PairMatches
 from epiprior_lab.labels.ground_truth import errors_px
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import MeasureParams
 
 if TYPE_CHECKING:
     from epiprior.estimators.handover import HandOver

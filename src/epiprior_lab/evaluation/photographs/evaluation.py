@@ -16,10 +16,10 @@ from epiprior_lab.evaluation.estimates import EstimatorInputs, HandOvers, match_
 from epiprior_lab.evaluation.photographs.estimation import photograph_rows
 from epiprior_lab.evaluation.photographs.estimator_code import estimator_code
 from epiprior_lab.evaluation.photographs.facts import PairFacts, pair_facts
-from epiprior_lab.evaluation.photographs.params import MeasureParams, TruthParams
 from epiprior_lab.evaluation.photographs.peers import store_peer_matches
 from epiprior_lab.features.matching import INPUTS, MatchFiles, store_matches
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import MeasureParams, TruthParams
 
 Row = dict[str, Any]
 

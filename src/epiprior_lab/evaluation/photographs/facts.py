@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from epiprior.types import BoolArray, MatchSet
-from epiprior_lab.evaluation.photographs.params import TruthParams
 from epiprior_lab.evaluation.photographs.truth import Truth, pair_truth, split_of
 from epiprior_lab.evaluation.rankings import calibration_rows, curve_rows, ranking_rows
 from epiprior_lab.features.matching import PRESETS, MatchFiles
-from epiprior_lab.labels.ground_truth import label_matches
+from epiprior_lab.labels.ground_truth import LabelSettings, label_matches
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import TruthParams
 
 Row = dict[str, Any]
 LOWE = "standard"  # X_L by distance ratio: Lowe's order
@@ -70,7 +70,7 @@ def pair_facts(*, pair: Pair, matches: MatchFiles, truth: TruthParams) -> PairFa
 
         def right(matches: MatchSet) -> BoolArray:
             points = matches.x1, matches.x2, matches.scale1, matches.scale2
-            return label_matches(pair, *points, settings=truth.labels)
+            return label_matches(pair, *points, settings=LabelSettings.of(truth))
 
         of_standard = right(sets.sets[LOWE][0])
         share = float(of_standard.mean()) if len(of_standard) else 0.0

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from epiprior_lab.evaluation.photographs.params import RealReportParams
 from epiprior_lab.evaluation.photographs.truth import SPLITS
 from epiprior_lab.features.matching import PRESETS
+from epiprior_lab.params import ReportParams
 from epiprior_lab.report.markdown import markdown_table
 from epiprior_lab.report.photographs.results import ALL, OURS
 from epiprior_lab.report.photographs.wording import best_bold, group_title, number, share
@@ -69,7 +69,7 @@ def limits_sentence(limits: pd.DataFrame, champion: str, threshold_px: float) ->
     )
 
 
-def pose_sentence(geometry: pd.DataFrame, champion: str, params: RealReportParams) -> str:
+def pose_sentence(geometry: pd.DataFrame, champion: str, params: ReportParams) -> str:
     """Return how many successes have a wrong pose all the same."""
     at = geometry[(geometry["group"] == ALL) & (geometry["input"] == OURS) & (geometry["posed_successes"] > 0)]
     if at.empty:

@@ -19,9 +19,9 @@ from epiprior.features.detect import Image
 from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, MatchSet, Status
 from epiprior_lab.evaluation.estimates import HandOvers
 from epiprior_lab.evaluation.photographs.estimation import run_estimator
-from epiprior_lab.evaluation.photographs.params import GalleryParams
 from epiprior_lab.features.matching import match_pair
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import GalleryParams
 from epiprior_lab.report.photographs.results import OURS, Photographs, error_runs
 
 RESCUED, LOST = "rescued", "lost"

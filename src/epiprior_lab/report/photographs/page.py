@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 import epiprior
-from epiprior_lab.evaluation.photographs.params import RealReportParams
 from epiprior_lab.evaluation.photographs.truth import SPLITS
 from epiprior_lab.features.matching import INPUTS, WITHOUT
+from epiprior_lab.params import ReportParams
 from epiprior_lab.report.photographs.figures import MIN_BAR
 from epiprior_lab.report.photographs.findings import (
     LIMITS_HEAD,
@@ -50,7 +50,7 @@ Block = dict[str, Any]
 
 
 def write_page(
-    tables: Tables, figures: Mapping[str, Path], cases: Sequence[Case], path: Path, *, params: RealReportParams
+    tables: Tables, figures: Mapping[str, Path], cases: Sequence[Case], path: Path, *, params: ReportParams
 ) -> Path:
     """Write the page that is committed; its gallery shows lines and points on blank frames.
 
@@ -64,7 +64,7 @@ def write_page(
         Of the gallery, pictures in ``gallery/``.
     path : Path
         HTML file.
-    params : RealReportParams
+    params : ReportParams
         Thresholds.
     """
     page = (
@@ -74,10 +74,10 @@ def write_page(
             version=epiprior.__version__,
             images={name: file.relative_to(path.parent).as_posix() for name, file in figures.items()},
             origin=ORIGIN,
-            verdict_sentence=verdict_sentence(tables.successes, params.bounds.champion, params.success_px),
+            verdict_sentence=verdict_sentence(tables.successes, params.champion, params.success_px),
             bounds=bound_rows(tables.bounds),
             limits={
-                "text": limits_sentence(tables.limits, params.bounds.champion, params.success_px),
+                "text": limits_sentence(tables.limits, params.champion, params.success_px),
                 "head": LIMITS_HEAD,
                 "rows": limits_rows(tables.limits),
             },
@@ -145,7 +145,7 @@ def _of_sets(table: pd.DataFrame) -> pd.DataFrame:
     return table[~table["group"].isin((*SPLITS, ALL))]
 
 
-def _geometry_block(geometry: pd.DataFrame, params: RealReportParams) -> Block:
+def _geometry_block(geometry: pd.DataFrame, params: ReportParams) -> Block:
     """Return splits and all; the sets are in the table beside the page."""
     at = _of_all(geometry)
     areas = [f"auc_{limit:g}" for limit in params.pose_deg]
@@ -168,10 +168,10 @@ def _geometry_block(geometry: pd.DataFrame, params: RealReportParams) -> Block:
     return {"head": [*head, f"distance < {params.distance_recall:g}", "median distance"], "groups": groups}
 
 
-def _pose_block(geometry: pd.DataFrame, params: RealReportParams) -> Block:
+def _pose_block(geometry: pd.DataFrame, params: ReportParams) -> Block:
     head, rows = pose_rows(geometry, params.pose_deg)
     marked = [[cell.replace("**", "") for cell in row] for row in rows]
-    return {"text": pose_sentence(geometry, params.bounds.champion, params), "head": head, "rows": marked}
+    return {"text": pose_sentence(geometry, params.champion, params), "head": head, "rows": marked}
 
 
 def _calibration_block(calibration: pd.DataFrame) -> Block:

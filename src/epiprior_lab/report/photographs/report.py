@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 
 from epiprior.verification.cascade import CascadeRule
-from epiprior_lab.evaluation.photographs.params import RealReportParams
 from epiprior_lab.evaluation.photographs.truth import SPLITS
+from epiprior_lab.params import ReportParams
 from epiprior_lab.report.cascade_tables import cascade_table
 from epiprior_lab.report.markdown import markdown_table
-from epiprior_lab.report.photographs.bounds import bounds_table, limits_table
+from epiprior_lab.report.photographs.bounds import BoundParams, bounds_table, limits_table
 from epiprior_lab.report.photographs.figures import draw_figures, enough_runs
 from epiprior_lab.report.photographs.findings import (
     LIMITS_HEAD,
@@ -56,18 +56,18 @@ from epiprior_lab.report.verdicts import verdict_figure, verdict_markdown
 from epiprior_lab.selection.cascade_rule import paired_runs
 
 
-def make_tables(photographs: Photographs, rule: CascadeRule, params: RealReportParams) -> Tables:
+def make_tables(photographs: Photographs, rule: CascadeRule, params: ReportParams) -> Tables:
     """Compute all tables but that of every pair."""
     draws, seed = params.bootstrap_draws, params.seed
     successes = success_table(photographs, thresholds_px=params.thresholds_px, draws=draws, seed=seed)
     rankings = ranking_table(photographs, draws=draws, seed=seed)
     bounds = bounds_table(
-        photographs, successes, rankings, params.bounds, success_px=params.success_px, draws=draws, seed=seed
+        photographs, successes, rankings, BoundParams(), success_px=params.success_px, draws=draws, seed=seed
     )
     return Tables(
         sets=set_table(photographs),
         bounds=bounds,
-        limits=limits_table(photographs, params.bounds.champion, params.success_px),
+        limits=limits_table(photographs, params.champion, params.success_px),
         successes=successes,
         geometry=geometry_table(
             photographs, pose_deg=params.pose_deg, recall_at=params.distance_recall, success_px=params.success_px
@@ -87,7 +87,7 @@ def _estimators(photographs: Photographs) -> pd.DataFrame:
     return table.assign(hypotheses=counts.reindex(table["estimator"]).to_numpy(np.float64))
 
 
-def real_cascade_table(photographs: Photographs, rule: CascadeRule, params: RealReportParams) -> pd.DataFrame:
+def real_cascade_table(photographs: Photographs, rule: CascadeRule, params: ReportParams) -> pd.DataFrame:
     """Return what the rule that was learnt on rendered scenes does on photographs, by split and over all.
 
     Nothing is run again: a cascade takes one run or the other of the same pair and seed.
@@ -106,7 +106,7 @@ def write_report(
     tables: Tables,
     cases: Sequence[Case],
     out: Path,
-    params: RealReportParams,
+    params: ReportParams,
     *,
     gallery: Path,
 ) -> None:
@@ -121,7 +121,7 @@ def write_report(
     out : Path
         Folder: ``index.html``, ``performance.md``, ``tables/``, ``figures/``; pictures on blank frames lie in
         ``gallery/``.
-    params : RealReportParams
+    params : ReportParams
         Thresholds.
     gallery : Path
         Folder of the pictures on photographs, which stays here; its page is written too.
@@ -152,9 +152,9 @@ _TERMS = (
 )
 
 
-def report_markdown(tables: Tables, params: RealReportParams) -> str:
+def report_markdown(tables: Tables, params: ReportParams) -> str:
     """Return bounds and what limits them, sets, rankings and all successes as text for a reader."""
-    successes, champion = tables.successes, params.bounds.champion
+    successes, champion = tables.successes, params.champion
     at = successes[successes["threshold_px"] == params.success_px]
     split_rows = [] if at.empty else split_lines(successes, params.success_px)
     lines = [
