@@ -12,6 +12,7 @@ from epiprior_lab.training.families import FAMILIES, Boosted, fit
 from epiprior_lab.training.onnx_graphs import to_onnx
 from grouped_rows import COLUMNS, make_rows
 
+pytestmark = pytest.mark.slow
 ROWS = make_rows()
 TRAINING_DATA = {
     "sha256": "ab" * 32,

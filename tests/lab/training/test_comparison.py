@@ -2,6 +2,7 @@ import csv
 import io
 import json
 import pickle
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +14,13 @@ from epiprior_lab.params import ExportedFamilies, TrainParams
 from epiprior_lab.training import comparison
 from epiprior_lab.training.comparison import train
 from epiprior_lab.training.families import FAMILIES
+from epiprior_lab.training.metrics import METRICS
 from epiprior_lab.training.samples import Sample, TargetRows
 from epiprior_lab.training.tables import curves_csv, importances_csv, metrics_csv, seconds_csv, write_training
+from epiprior_lab.training.tracked_runs import tracked_runs
 from grouped_rows import COLUMNS, make_rows
 
+pytestmark = pytest.mark.slow
 ROWS = make_rows(3000)
 PARAMS = TrainParams(
     seed=3,
@@ -24,7 +28,7 @@ PARAMS = TrainParams(
     families=tuple(FAMILIES),
     exported=ExportedFamilies(paper="tree", default="lightgbm"),
     max_rows_per_pair=100,
-    max_rows=800,
+    max_rows=600,
     max_forest_rows=400,
     max_svm_rows=400,
 )
@@ -71,25 +75,25 @@ class FakeTwoKeypoints:
     descriptors: np.ndarray
 
     def select(self, columns):
-        return np.resize(self.descriptors, (len(self.descriptors), len(columns)))
+        return wide(self.descriptors, columns)
+
+
+def wide(rows, columns):
+    """Repeat columns until there are as many as names."""
+    return np.tile(rows, (1, len(columns)))[:, : len(columns)].astype(np.float32)
 
 
 @dataclass
 class FakeRows:
+    preset: str
     pair: str
     scene: str
     two_keypoints: FakeTwoKeypoints
     two_keypoint_labels: np.ndarray
 
 
-@pytest.fixture(scope="module")
-def votes():
-    """By pair, the probabilities that the second classifier's rows were made of."""
-    return {}
-
-
-def train_in(root, votes, **changes):
-    """Train on files of pairs with made-up rows; tasks run in this process."""
+def train_in(root, votes):
+    """Train on files of pairs with made-up rows; `votes` gets the first classifier's by preset and pair."""
     folders = {preset: root / preset for preset in ("paper", "default")}
     for folder in folders.values():
         folder.mkdir(parents=True)
@@ -98,20 +102,23 @@ def train_in(root, votes, **changes):
 
     def read_rows(file):
         rows = ROWS.slices[ROWS.pairs.tolist().index(file.stem)]
-        return FakeRows(file.stem, file.stem[:-2], FakeTwoKeypoints(ROWS.rows[rows]), ROWS.labels[rows])
+        found = FakeTwoKeypoints(ROWS.rows[rows])
+        return FakeRows(file.parent.name, file.stem, file.stem[:-2], found, ROWS.labels[rows])
 
     def match_rows(rows, probability):
-        votes[rows.pair, len(votes) >= 24] = probability  # the first 24 calls are those of `paper`
-        X = rows.two_keypoints.descriptors
-        columns = 3 if len(votes) <= 24 else len(find_preset("default").match_columns)
-        return np.resize(np.column_stack([probability, X]), (len(X), columns)).astype(
-            np.float32
-        ), rows.two_keypoint_labels
+        votes[rows.preset, rows.pair] = probability
+        described = np.column_stack([probability, rows.two_keypoints.descriptors])
+        return wide(described, find_preset(rows.preset).match_columns), rows.two_keypoint_labels
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "read_rows", read_rows)
         patch.setattr(comparison, "match_rows", match_rows)
         return train(folders, PARAMS, workers=1, store=root / "store")
+
+
+@pytest.fixture(scope="module")
+def votes():
+    return {}
 
 
 @pytest.fixture(scope="module")
@@ -128,20 +135,38 @@ def test_all_families_are_compared(trained):
             assert all(item.probability.shape == found.data.labels.shape for item in found.grouped.values())
             assert found.ungrouped.calibrated is None
             assert found.platt.a > 0
-            assert len(found.refit.parity_rows) == len(found.refit.parity_probability) == len(found.data.labels)
+            assert len(found.refit.parity_rows) == len(found.refit.parity_probability) == 2000
 
 
 def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained, votes):
-    for preset, second in (("paper", False), ("default", True)):
-        first = trained[preset][0]
+    for preset, (first, _) in trained.items():
         found = first.grouped[first.exported]
         for pair, kept, every in zip(ROWS.pairs.tolist(), first.data.slices, ROWS.slices, strict=True):
             number = found.fold[kept][0]
-            columns = find_preset(preset).two_keypoint_columns
-            rows = FakeTwoKeypoints(ROWS.rows[every]).select(columns)
             classifier = pickle.loads(found.classifiers[number])
-            np.testing.assert_array_equal(votes[pair, second], first.platt(classifier.probability(rows)))
+            rows = wide(ROWS.rows[every], first.data.columns)
+            np.testing.assert_array_equal(votes[preset, pair], first.platt(classifier.probability(rows)))
             assert pair[:-2] not in set(first.data.scene[found.fold != number].tolist())
+
+
+def test_runs_to_track(trained):
+    runs = {run.tags["family"]: run for run in tracked_runs(trained["paper"][1], {"seed": 3})}
+    assert list(runs) == list(FAMILIES)
+    exported, other = runs["tree"], runs["svm"]
+    assert exported.tags == {"preset": "paper", "target": "match", "family": "tree", "exported": "true"}
+    assert exported.name == "paper-tree"
+    for name in METRICS:
+        for run in (exported, other):
+            assert {name, f"{name}.deviation", f"calibrated.{name}"} <= run.metrics.keys()
+        assert (f"ungrouped.{name}" in exported.metrics, f"ungrouped.{name}" in other.metrics) == (True, False)
+    assert all(re.fullmatch(r"[\w./-]+", name) for name in exported.metrics)
+    assert exported.parameters["seed"] == 3
+    assert exported.parameters["rows"] == len(trained["paper"][1].data.rows)
+    assert [set(fold) >= set(METRICS) - {"precision"} for fold in exported.folds] == [True] * 3
+    assert sorted(exported.figures) == ["importances.png", "precision_recall.png", "reliability.png"]
+    assert sorted(other.figures) == ["precision_recall.png", "reliability.png"]
+    assert (exported.onnx, other.onnx) == (trained["paper"][1].refit.onnx, None)
+    assert exported.rows.shape == (5, 3)
 
 
 def table(text):
@@ -182,8 +207,8 @@ def test_importances_are_those_of_the_exported_family(trained):
     assert {r["family"] for r in rows} == {"lightgbm"}
 
 
-def test_what_training_writes(trained, tmp_path, votes):
-    again = train_in(tmp_path / "again", dict(votes) and {})
+def test_what_training_writes(trained, tmp_path):
+    again = train_in(tmp_path / "again", {})
     for place, found in (("a", trained), ("b", again)):
         write_training(tmp_path / place, found["paper"])
     names = sorted(path.name for path in (tmp_path / "a").iterdir())

@@ -9,6 +9,7 @@ from epiprior_lab.training.families import FAMILIES, TrainingError
 from epiprior_lab.training.metrics import METRICS
 from grouped_rows import make_rows
 
+pytestmark = pytest.mark.slow
 ROWS = make_rows()
 
 

@@ -12,6 +12,7 @@ from epiprior_lab.training.families import FAMILIES, TrainingError, fit, fit_svm
 from epiprior_lab.training.onnx_graphs import to_onnx
 from grouped_rows import make_rows
 
+pytestmark = pytest.mark.slow
 ROWS = make_rows()
 
 
