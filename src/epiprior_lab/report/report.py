@@ -158,3 +158,22 @@ def write_report(
     if extras.gallery is not None:
         write_gallery(extras.cases, extras.gallery)
     return made
+
+
+def write_folder_report(evaluated: Tables, out: Path) -> None:
+    """Write the report on pair sets of one's own, with the thresholds of the study; the first estimator is compared."""
+    params = ReportParams(
+        seed=0,
+        success_px=10.0,
+        strict_px=3.0,
+        thresholds_px=(10.0, 3.0),
+        pose_deg=(5.0, 10.0, 20.0),
+        distance_recall=0.05,
+        bootstrap_draws=2000,
+        champion=str(evaluated.runs["estimator"].iloc[0]),
+        hard_groups=("hard",),
+        easy_groups=("easy",),
+        contact_sheet_pairs=None,
+        gallery=None,
+    )
+    write_report(read_results(evaluated, params), params, Extras(), "folder", out)
