@@ -40,24 +40,13 @@ def main() -> None:
         pairs = read_pair_set(Path("data/scenes") / split / family).pairs
         tasks = [
             Task(
-                name=pair.pair_id,
-                payload={
-                    "pair": pair,
-                    "count": truth.control_points,
-                    "seed": child_seed(truth.seed, "control points", pair.pair_id),
-                },
-                files=pair.files,
+                name=pair.pair_id, payload={"pair": pair, "count": truth.control_points, "seed": seed}, files=pair.files
             )
             for pair in pairs
+            for seed in (child_seed(truth.seed, "control points", pair.pair_id),)
         ]
-        store = Path("data/.tasks/ground_truth") / split
-        found = map_tasks(
-            measure,
-            tasks,
-            workers=default_workers(),
-            description=f"ground truth, {split}, {family}",
-            store=store,
-        )
+        title, store = f"ground truth, {split}, {family}", Path("data/.tasks/ground_truth") / split
+        found = map_tasks(measure, tasks, workers=default_workers(), description=title, store=store)
         out = Path("data/ground_truth") / split / family
         rows = []
         for pair, (x1, x2, seen) in zip(pairs, found, strict=True):
