@@ -1,8 +1,8 @@
 """Tell whether the locks of both pipelines belong to this code, these parameters and these committed results.
 
-``dvc status`` answers that only where the data are present. A clean clone has none, so this check asks DVC for the hashes
-of what git holds (code, parameters, models, reports), and compares cached data by what the lock says of them: a stage
-must have read what the stage before it wrote. Photographs, which no stage writes and git does not hold, are left out.
+``dvc status`` answers that only where the data are present. A clean clone has none, so this check asks DVC for the
+hashes of what git holds (code, parameters, models, reports), and compares cached data by what the lock says of them: a
+stage must have read what the stage before it wrote. Photographs, which git does not hold, are left out.
 """
 
 import os
@@ -25,7 +25,7 @@ class LockError(EpipriorError):
 def check_lock(root: Path, pipeline: str = "") -> dict[str, list[str]]:
     """Return what differs between a pipeline's ``dvc.lock`` and the working tree, by stage.
 
-    `root` is the folder of ``.dvc``, `pipeline` a key of `PIPELINES`. Differences are such as ``"src/epiprior: modified"``.
+    `root` is the folder of ``.dvc``, `pipeline` a key of `PIPELINES`; a difference reads ``"src/epiprior: modified"``.
     Data in DVC's cache are not looked at, so they need not be there.
 
     Raises

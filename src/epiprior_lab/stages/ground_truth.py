@@ -38,13 +38,11 @@ def main() -> None:
     truth = params.ground_truth
     for family in params.scenes.families:
         pairs = read_pair_set(Path("data/scenes") / split / family).pairs
-        tasks = [
-            Task(
-                name=pair.pair_id, payload={"pair": pair, "count": truth.control_points, "seed": seed}, files=pair.files
-            )
-            for pair in pairs
-            for seed in (child_seed(truth.seed, "control points", pair.pair_id),)
-        ]
+        tasks = []
+        for pair in pairs:
+            seed = child_seed(truth.seed, "control points", pair.pair_id)
+            payload = {"pair": pair, "count": truth.control_points, "seed": seed}
+            tasks.append(Task(name=pair.pair_id, payload=payload, files=pair.files))
         title, store = f"ground truth, {split}, {family}", Path("data/.tasks/ground_truth") / split
         found = map_tasks(measure, tasks, workers=default_workers(), description=title, store=store)
         out = Path("data/ground_truth") / split / family

@@ -8,15 +8,6 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-
-import epiprior.rank
-from epiprior.errors import SettingsError
-from epiprior.estimators.handover import HandOver
-from epiprior.features.detect import detect_features
-from epiprior.features.images import load_photograph
-from epiprior.ranking.models import load_model
-from epiprior.verification.cascade import CascadeRule
-from epiprior_lab.compute.source_graph import source_files
 from epiprior_lab.evaluation.photographs import (
     estimation,
     estimator_code,
@@ -28,9 +19,18 @@ from epiprior_lab.evaluation.photographs import (
 )
 from epiprior_lab.evaluation.photographs.peers import read_peer_matches
 from epiprior_lab.evaluation.photographs.sets import link_sets
+from epiprior_lab.report.photographs.gallery import Case, draw_cases
+
+import epiprior.rank
+from epiprior.errors import SettingsError
+from epiprior.estimators.handover import HandOver
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
+from epiprior.ranking.models import load_model
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.compute.source_graph import source_files
 from epiprior_lab.pairsets import DatasetError, read_pair_set
 from epiprior_lab.params import load_params
-from epiprior_lab.report.photographs.gallery import Case, draw_cases
 from pictures import relief_pair, save
 from tiny_model import make_model
 
