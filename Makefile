@@ -34,7 +34,7 @@ repro: $(READY)  ## make the whole study: scenes, models, evaluation, reports
 	$(BIN)/dvc repro
 	@echo
 	@echo "Report   reports/index.html"
-	@for file in reports/*.md reports/analysis/*.md reports/*.csv; do [ ! -f "$$file" ] || echo "Table    $$file"; done
+	@for file in reports/*.md reports/analysis/*.md reports/tables/*.csv; do [ ! -f "$$file" ] || echo "Table    $$file"; done
 	@for file in reports/figures/*; do [ ! -f "$$file" ] || echo "Figure   $$file"; done
 	@echo "Models   models/paper, models/default"
 	@echo "MLflow   make ui, then http://127.0.0.1:$(PORT)"

@@ -6,8 +6,7 @@ import numpy as np
 
 from epiprior_lab.pairsets import Camera
 from epiprior_lab.scenes.camera_pairs import look_at
-from epiprior_lab.scenes.light import Light
-from epiprior_lab.scenes.shadows import cast_shadows
+from epiprior_lab.scenes.render import Light, cast_shadows
 from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, World, WorldBuilder, box, upright
 from pictures import texture
 

@@ -1,5 +1,6 @@
 """``epiprior-lab``: the commands of the workspace that are no stages of the pipeline."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -21,19 +22,28 @@ register_importers(app)
 
 
 @app.command()
-def real(
-    datasets: Annotated[Path, typer.Argument(help="Folder of pair sets in the uniform format.")],
+def evaluate(
+    folder: Annotated[Path, typer.Argument(help="A pair set in the uniform format, or a folder of pair sets.")],
     sets: Annotated[list[str] | None, typer.Option("--set", help="Only this set; may be repeated.")] = None,
+    estimators: Annotated[
+        list[str] | None, typer.Option("--estimator", help="Gets every input; may be repeated; magsac++ by default.")
+    ] = None,
     seeds: Annotated[int, typer.Option(help="Repetitions of each estimate.")] = 3,
-    out: Annotated[Path, typer.Option(help="Table of results, a row per pair.")] = Path("data/real.csv"),
+    out: Annotated[Path, typer.Option(help="Folder of the tables and the page.")] = Path("data/own-evaluation"),
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler that gets the pairs, such as tcp://host:8786.")
     ] = None,
 ) -> None:
-    """Evaluate the exported model on sets of photographs, against both baselines."""
-    from epiprior_lab.evaluation.folders import run_real
+    """Evaluate the exported model on pair sets of your own, against X_L and snn."""
+    from epiprior_lab.compute.tasks import SCHEDULER_VARIABLE
+    from epiprior_lab.evaluation.folder import ESTIMATOR, evaluate_folder
+    from epiprior_lab.report.report import write_folder_report
 
-    run_real(datasets, sets=sets, seeds=seeds, out=out, scheduler=scheduler)
+    if scheduler:
+        os.environ[SCHEDULER_VARIABLE] = scheduler
+    found = evaluate_folder(folder, sets=sets, estimators=estimators or (ESTIMATOR,), seeds=seeds, out=out)
+    write_folder_report(found, out)
+    typer.echo(f"{out / 'index.html'}")
 
 
 @app.command("link-sets")
@@ -42,10 +52,10 @@ def link_sets(
     params: Annotated[Path, typer.Option(help="Parameters that name the sets.")] = Path("benchmarks/real/params.yaml"),
 ) -> None:
     """Link the pair sets of the benchmark on photographs into data/real."""
-    from epiprior_lab.evaluation.photographs.params import load_real_params
-    from epiprior_lab.evaluation.photographs.sets import link_sets
+    from epiprior_lab.evaluation.sets import link_sets
+    from epiprior_lab.params import load_params
 
-    for path in link_sets(load_real_params(params).sets, source):
+    for path in link_sets(load_params(params).evaluate.groups, source):
         typer.echo(f"{path} -> {path.resolve()}" if path.is_symlink() else str(path))
 
 

@@ -1,15 +1,16 @@
 """Tell whether the locks of both pipelines belong to this code, these parameters and these committed results.
 
-``dvc status`` answers that only where the data are present. A clean clone has none, so this check asks DVC
-for the hashes of what git holds (code, parameters, models, reports), and compares cached data by what the
-lock says of them: a stage must have read what the stage before it wrote. Photographs, which no stage writes
-and git does not hold, are not looked at.
+``dvc status`` answers that only where the data are present. A clean clone has none, so this check asks DVC for the
+hashes of what git holds (code, parameters, models, reports), and compares cached data by what the lock says of them: a
+stage must have read what the stage before it wrote. Photographs, which git does not hold, are left out.
 """
 
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from epiprior.errors import EpipriorError
 
@@ -22,20 +23,10 @@ class LockError(EpipriorError):
 
 
 def check_lock(root: Path, pipeline: str = "") -> dict[str, list[str]]:
-    """Compare a pipeline's ``dvc.lock`` with the working tree.
+    """Return what differs between a pipeline's ``dvc.lock`` and the working tree, by stage.
 
-    Parameters
-    ----------
-    root : Path
-        Root of the repository: the folder of ``.dvc``.
-    pipeline : str
-        Folder of ``dvc.yaml`` and ``dvc.lock``, from the root: a key of `PIPELINES`.
-
-    Returns
-    -------
-    dict
-        Stage name to the differences found, such as ``"src/epiprior: modified"``; empty if the lock belongs
-        to the tree. Data in DVC's cache are not looked at, so they need not be there.
+    `root` is the folder of ``.dvc``, `pipeline` a key of `PIPELINES`; a difference reads ``"src/epiprior: modified"``.
+    Data in DVC's cache are not looked at, so they need not be there.
 
     Raises
     ------
@@ -54,7 +45,8 @@ def check_lock(root: Path, pipeline: str = "") -> dict[str, list[str]]:
             cached = {Path(out.fs_path): out for stage in repo.index.stages for out in stage.outs if out.use_cache}
             stages = [stage for stage in repo.index.stages if Path(stage.path_in_repo) == definition]
             found = {stage.name: sorted(_differences(stage, cached, root.resolve())) for stage in stages}
-            found |= {name: ["in dvc.lock, not in dvc.yaml"] for name in _locked_names(lock) - found.keys()}
+            locked = (yaml.safe_load(lock.read_text(encoding="utf-8")) or {}).get("stages", {})
+            found |= {name: ["in dvc.lock, not in dvc.yaml"] for name in locked.keys() - found.keys()}
     except DvcException as error:
         raise LockError(f"{root}: DVC cannot read the pipeline: {error}") from error
     return {name: lines for name, lines in found.items() if lines}
@@ -72,12 +64,8 @@ def _differences(stage: Any, cached: dict[Path, Any], root: Path) -> Iterator[st
                 yield f"{entry}: not in dvc.lock"
             elif entry.hash_info != writer.hash_info:
                 yield f"{entry}: the lock says that its stage wrote {writer.hash_info.value}"
-        elif _in_git(path, root) and not any(path.is_relative_to(folder) for folder in cached):
+        elif path.is_relative_to(root) and not any(path.is_relative_to(folder) for folder in (root / "data", *cached)):
             yield from _described(entry.workspace_status())
-
-
-def _in_git(path: Path, root: Path) -> bool:
-    return path.is_relative_to(root) and not path.is_relative_to(root / "data")
 
 
 def _described(status: dict[str, Any], prefix: str = "") -> Iterator[str]:
@@ -87,10 +75,3 @@ def _described(status: dict[str, Any], prefix: str = "") -> Iterator[str]:
             yield from _described(value, f"{name}: ")
         else:
             yield f"{prefix}{name}: {value}"
-
-
-def _locked_names(lock: Path) -> set[str]:
-    import yaml
-
-    document = yaml.safe_load(lock.read_text(encoding="utf-8")) or {}
-    return set(document.get("stages", {}))

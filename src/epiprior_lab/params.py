@@ -1,98 +1,260 @@
-"""The parameters of the study: strict dataclasses over ``params.yaml``.
+"""The parameters of both pipelines: one strict schema over ``params.yaml`` and ``benchmarks/real/params.yaml``.
 
-Every key must be there, of its type and in its range. There are no defaults here: the file says everything.
+Every key must be there, of its type and in its range. There are no defaults: the files say everything. A section that
+is made by hand is checked in the same way, and raises pydantic's ``ValidationError``, a ``ValueError``.
 """
 
-import dataclasses
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from epiprior.errors import SettingsError
-from epiprior_lab.sections import Range, Section, build_section
+
+STUDY = Path("params.yaml")
+PHOTOGRAPHS = Path("benchmarks/real/params.yaml")
 
 Split = Literal["train", "validation", "test"]
 Preset = Literal["paper", "default"]
 Input = Literal["standard", "snn", "generalized", "paper", "default"]
 
-Seed = Annotated[int, Range(0, 2**31 - 1)]
-Probability = Annotated[float, Range(0, 1)]
-Pixels = Annotated[float, Range(0.01, 1000)]
-PairCount = Annotated[int, Range(1, 100_000)]
-Rows = Annotated[int, Range(100, 10**8)]
-TopK = Annotated[int, Range(8, 1_000_000)]
-
-_WITHOUT = frozenset({"standard", "generalized"})  # what an estimator gets without the preprocessing step
+Value = TypeVar("Value")
 
 
-@dataclass(frozen=True, kw_only=True)
-class PairCounts(Section):
+def _no_repetition(values: tuple[Value, ...]) -> tuple[Value, ...]:
+    if len(set(values)) < len(values):
+        raise PydanticCustomError("repeated", "a value is repeated")
+    return values
+
+
+Listed = Annotated[tuple[Value, ...], Field(min_length=1), AfterValidator(_no_repetition)]
+Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Pixels = Annotated[float, Field(ge=0.01, le=1000)]
+Count = Annotated[int, Field(ge=1, le=100_000)]
+Rows = Annotated[int, Field(ge=100, le=10**8)]
+TopK = Annotated[int, Field(ge=8, le=1_000_000)]
+ImageSize = Annotated[int, Field(ge=64, le=8192)]
+
+_STRICT = ConfigDict(extra="forbid", strict=True)
+_BASELINES = frozenset({"standard", "generalized"})  # what an estimator gets without the preprocessing step
+_DIFFICULTIES = ("easy", "medium", "hard")
+
+
+# --- sections of both pipelines
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class EvaluateParams:
+    """Which pairs are evaluated, and by which estimators, inputs and seeds.
+
+    `pairs` and `control_points` are folders with ``{group}`` for the name of a group. Inputs in `whole` are handed over
+    as they are; `peers` are rankers of others; groups in `apart` are reported, but are part of no total.
+    """
+
+    groups: Listed[str]
+    pairs: str
+    control_points: str | None
+    out: str
+    seeds: Listed[Seed]
+    estimators: Listed[str]
+    inputs: Listed[Input]
+    other_inputs: Mapping[str, Listed[Input]]
+    whole: Listed[Input] | None
+    peers: Listed[str] | None
+    apart: Listed[str] | None
+
+    def __post_init__(self) -> None:
+        for key, template in (("pairs", self.pairs), ("control_points", self.control_points)):
+            if template is not None and "{group}" not in template:
+                raise ValueError(f"{key} = {template!r}: expected {{group}} in it")
+        _check_known("other_inputs", self.other_inputs, self.estimators)
+        for name, inputs in self.inputs_by_estimator.items():
+            if len(_BASELINES.intersection(inputs)) != 1:
+                raise ValueError(f"inputs of {name} are {', '.join(inputs)}: expected standard or generalized")
+        _check_known("whole", self.whole or (), self.all_inputs)
+        _check_known("apart", self.apart or (), self.groups)
+
+    @property
+    def inputs_by_estimator(self) -> dict[str, tuple[str, ...]]:
+        """The inputs that each estimator gets, without peers, in the order of `estimators`."""
+        return {name: self.other_inputs.get(name, self.inputs) for name in self.estimators}
+
+    @property
+    def inputs_and_peers(self) -> dict[str, tuple[str, ...]]:
+        """The inputs that each estimator gets, those of peers last."""
+        return {name: (*own, *(self.peers or ())) for name, own in self.inputs_by_estimator.items()}
+
+    @property
+    def all_inputs(self) -> tuple[str, ...]:
+        """All inputs that some estimator gets, without peers."""
+        return tuple(dict.fromkeys(i for inputs in self.inputs_by_estimator.values() for i in inputs))
+
+    def pairs_of(self, group: str) -> Path:
+        """Return the folder of a group's pair set."""
+        return Path(self.pairs.format(group=group))
+
+    def control_points_of(self, group: str) -> Path | None:
+        """Return the folder of a group's control points; None where they are part of the pair set."""
+        return None if self.control_points is None else Path(self.control_points.format(group=group))
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class TruthParams:
+    """When a match counts as right, when a pair decides an F, and what makes a pair easy or hard."""
+
+    tolerance_px: Pixels
+    tolerance_sigma: Annotated[float, Field(ge=0, le=10)]
+    depth_tolerance: Annotated[float, Field(gt=0, lt=1)]
+    epipolar_px: Pixels
+    plane_px: Pixels
+    one_plane: Listed[str] | None
+    easy_share: Share
+    hard_share: Share
+
+    def __post_init__(self) -> None:
+        if self.hard_share > self.easy_share:
+            raise ValueError(f"hard_share = {self.hard_share}: above easy_share = {self.easy_share}")
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class MeasureParams:
+    """The normalised symmetric geometric distance."""
+
+    seed: Seed
+    distance_points: Annotated[int, Field(ge=10, le=100_000)]
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class TimingParams:
+    """Pairs and seeds on which time is measured."""
+
+    pairs_per_group: Annotated[int, Field(ge=1, le=1000)]
+    seeds: Listed[Seed]
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class GalleryParams:
+    """The estimator whose rescued and lost pairs are shown, and how many."""
+
+    estimator: str
+    rescued: Annotated[int, Field(ge=1, le=100)]
+    lost: Annotated[int, Field(ge=1, le=100)]
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class ReportParams:
+    """Thresholds of success, the bootstrap and what is shown.
+
+    `hard_groups` and `easy_groups` are groups, or difficulties of pairs: easy, medium, hard.
+    """
+
+    seed: Seed
+    success_px: Pixels
+    strict_px: Pixels
+    thresholds_px: Listed[Pixels]
+    pose_deg: Listed[Annotated[float, Field(ge=0.1, le=90)]]
+    distance_recall: Share
+    bootstrap_draws: Annotated[int, Field(ge=100, le=1_000_000)]
+    champion: str
+    hard_groups: Listed[str]
+    easy_groups: Listed[str]
+    contact_sheet_pairs: Annotated[int, Field(ge=1, le=100)] | None
+    gallery: GalleryParams | None
+
+    def __post_init__(self) -> None:
+        if self.strict_px > self.success_px:
+            raise ValueError(f"strict_px = {self.strict_px}: above success_px = {self.success_px}")
+        for key in ("success_px", "strict_px"):
+            _check_known(key, (getattr(self, key),), self.thresholds_px)
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class Params:
+    """The sections that both pipelines have; those of the photographs have no others."""
+
+    evaluate: EvaluateParams
+    truth: TruthParams
+    measures: MeasureParams
+    timing: TimingParams
+    report: ReportParams
+
+    def __post_init__(self) -> None:
+        report, estimators = self.report, self.evaluate.estimators
+        _check_known("report.champion", (report.champion,), estimators)
+        if report.gallery is not None:
+            _check_known("report.gallery.estimator", (report.gallery.estimator,), estimators)
+        groups = (*self.evaluate.groups, *_DIFFICULTIES)
+        _check_known("report.hard_groups", report.hard_groups, groups)
+        _check_known("report.easy_groups", report.easy_groups, groups)
+
+
+# --- sections of the study alone
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class PairCounts:
     """Pairs of each family in each split."""
 
-    train: Mapping[str, PairCount]
-    validation: Mapping[str, PairCount]
-    test: Mapping[str, PairCount]
+    train: Mapping[str, Count]
+    validation: Mapping[str, Count]
+    test: Mapping[str, Count]
 
 
-@dataclass(frozen=True, kw_only=True)
-class SceneParams(Section):
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class SceneParams:
     """Rendered scenes."""
 
     seed: Seed
-    families: tuple[str, ...]
+    families: Listed[str]
     pairs: PairCounts
-    image_width: Annotated[int, Range(64, 8192)]
-    image_height: Annotated[int, Range(64, 8192)]
-    jpeg_quality: Annotated[int, Range(1, 100)]
+    image_width: ImageSize
+    image_height: ImageSize
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)]
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         for split in ("train", "validation", "test"):
             counts = getattr(self.pairs, split)
             if set(counts) != set(self.families):
-                raise SettingsError(
-                    f"pairs.{split} counts {sorted(counts)}, expected the families {list(self.families)}"
-                )
+                raise ValueError(f"pairs.{split} counts {sorted(counts)}, expected the families {list(self.families)}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class GroundTruthParams(Section):
-    """Control points, and when a match counts as right."""
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class GroundTruthParams:
+    """Control points of rendered pairs."""
 
     seed: Seed
-    control_points: Annotated[int, Range(8, 100_000)]
-    tolerance_px: Pixels
-    tolerance_sigma: Annotated[float, Range(0, 10)]
-    depth_tolerance: Annotated[float, Range(0, 1)]
-    epipolar_px: Pixels
+    control_points: Annotated[int, Field(ge=8, le=100_000)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class FeatureParams(Section):
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class FeatureParams:
     """Candidate rows of the training pairs."""
 
-    presets: tuple[Preset, ...]
-    pair_sets: tuple[str, ...]
+    presets: Listed[Preset]
+    pair_sets: Listed[str]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExportedFamilies(Section):
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class ExportedFamilies:
     """The family of classifiers that each preset ships."""
 
     paper: str
     default: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainParams(Section):
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class TrainParams:
     """Cross-validation and refit of the classifiers."""
 
     seed: Seed
-    folds: Annotated[int, Range(2, 100)]
-    families: tuple[str, ...]
+    folds: Annotated[int, Field(ge=2, le=100)]
+    families: Listed[str]
     exported: ExportedFamilies
     max_rows_per_pair: Rows
     max_rows: Rows
@@ -100,182 +262,144 @@ class TrainParams(Section):
     max_svm_rows: Rows
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        for preset, family in dataclasses.asdict(self.exported).items():
-            if family not in self.families:
-                raise SettingsError(f"exported.{preset} = {family!r}: not among families {list(self.families)}")
+        for preset in ("paper", "default"):
+            _check_known(f"exported.{preset}", (getattr(self.exported, preset),), self.families)
 
 
-@dataclass(frozen=True, kw_only=True)
-class WeightedParams(Section):
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class WeightedParams:
     """Estimators that weigh matches by their probabilities, and so may profit from many improbable ones."""
 
-    estimators: tuple[str, ...]
-    top_k: tuple[TopK | None, ...]
+    estimators: Listed[str]
+    top_k: Listed[TopK | None]
 
 
-@dataclass(frozen=True, kw_only=True)
-class HandOverParams(Section):
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class HandOverParams:
     """Seeds and candidates of the choice of how matches are handed to each estimator."""
 
-    seeds: tuple[Seed, ...]
-    max_distance_ratio: tuple[Probability, ...]
-    top_k: tuple[TopK | None, ...]
+    seeds: Listed[Seed]
+    max_distance_ratio: Listed[Share]
+    top_k: Listed[TopK | None]
     weighted: WeightedParams
-    min_probability: tuple[Probability | None, ...]
-    threshold_px: tuple[Pixels, ...]
-    one_to_one: tuple[bool, ...]
-    refine: tuple[bool, ...]
-    collect: tuple[bool, ...]
-    spread: tuple[Annotated[float, Range(0.001, 1)] | None, ...]
+    threshold_px: Listed[Pixels]
+    one_to_one: Listed[bool]
+    refine: Listed[bool]
+    collect: Listed[bool]
 
     def top_k_for(self, estimator: str) -> tuple[int | None, ...]:
         """Return the numbers of matches that are tried for an estimator."""
         return self.weighted.top_k if estimator in self.weighted.estimators else self.top_k
 
 
-@dataclass(frozen=True, kw_only=True)
-class EvaluateParams(Section):
-    """Estimators, inputs and repetitions of the evaluation."""
-
-    seeds: tuple[Seed, ...]
-    estimators: tuple[str, ...]
-    inputs: tuple[Input, ...]
-    other_inputs: Mapping[str, tuple[Input, ...]]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        unknown = [name for name in self.other_inputs if name not in self.estimators]
-        if unknown:
-            raise SettingsError(f"other_inputs.{unknown[0]}: not among estimators {list(self.estimators)}")
-        for name, inputs in self.inputs_by_estimator.items():
-            if len(_WITHOUT.intersection(inputs)) != 1:
-                raise SettingsError(f"inputs of {name} are {', '.join(inputs)}: expected standard or generalized")
-
-    @property
-    def inputs_by_estimator(self) -> dict[str, tuple[str, ...]]:
-        """The inputs that each estimator gets, in the order of `estimators`."""
-        return {name: self.other_inputs.get(name, self.inputs) for name in self.estimators}
-
-    @property
-    def all_inputs(self) -> tuple[str, ...]:
-        """All inputs that some estimator gets."""
-        return tuple(dict.fromkeys(i for inputs in self.inputs_by_estimator.values() for i in inputs))
-
-
-@dataclass(frozen=True, kw_only=True)
-class CascadeParams(Section):
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class CascadeParams:
     """Seeds, candidates and tolerances of the rule by which an estimate without preprocessing is kept."""
 
-    seeds: tuple[Seed, ...]
-    tolerance: Probability
-    strict_tolerance: Probability
-    min_spread: tuple[Annotated[int, Range(0, 1_000_000)], ...]
-    min_plausibility: tuple[Probability, ...]
+    seeds: Listed[Seed]
+    tolerance: Share
+    strict_tolerance: Share
+    min_plausibility: Listed[Share]
 
 
-@dataclass(frozen=True, kw_only=True)
-class AnalysisParams(Section):
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class AnalysisParams:
     """What the analysis of the method's parts compares, and the named pairs of the paper's Table 1."""
 
-    pairs_per_family: Annotated[int, Range(1, 100_000)]
-    estimators: tuple[str, ...]
-    two_keypoint_counts: tuple[Annotated[int, Range(2, 1000)], ...]
-    refined_hypotheses: Annotated[int, Range(1, 10_000)]
-    table_quantiles: tuple[Probability, ...]
+    pairs_per_group: Count
+    estimators: Listed[str]
+    two_keypoint_counts: Listed[Annotated[int, Field(ge=2, le=1000)]]
+    refined_hypotheses: Annotated[int, Field(ge=1, le=10_000)]
+    table_quantiles: Listed[Share]
 
 
-@dataclass(frozen=True, kw_only=True)
-class OverheadParams(Section):
-    """Pairs and seeds on which time is measured."""
-
-    pairs_per_family: Annotated[int, Range(1, 1000)]
-    seeds: tuple[Seed, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoundParams(Section):
-    """What the study wants to reach; the report says what it did reach."""
-
-    hard_families: tuple[str, ...]
-    easy_families: tuple[str, ...]
-    contribution: Mapping[str, Annotated[float, Range(0, 100)]]
-    easy_loss: Probability
-    champion: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReportParams(Section):
-    """Thresholds of success, the bootstrap, and bounds."""
-
-    seed: Seed
-    success_px: Pixels
-    strict_px: Pixels
-    bootstrap_draws: Annotated[int, Range(100, 1_000_000)]
-    contact_sheet_pairs: Annotated[int, Range(1, 100)]
-    bounds: BoundParams
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.strict_px > self.success_px:
-            raise SettingsError(f"strict_px = {self.strict_px}: above success_px = {self.success_px}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Params(Section):
-    """All parameters of the study, one field per section of the file."""
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class StudyParams(Params):
+    """All sections of the study."""
 
     scenes: SceneParams
     ground_truth: GroundTruthParams
     features: FeatureParams
     train: TrainParams
     hand_over: HandOverParams
-    evaluate: EvaluateParams
     cascade: CascadeParams
     analysis: AnalysisParams
-    overhead: OverheadParams
-    report: ReportParams
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        bounds, families, estimators = self.report.bounds, self.scenes.families, self.evaluate.estimators
-        for key, names, known in (
-            ("hand_over.weighted.estimators", self.hand_over.weighted.estimators, estimators),
-            ("report.bounds.hard_families", bounds.hard_families, families),
-            ("report.bounds.easy_families", bounds.easy_families, families),
-            ("report.bounds.contribution", tuple(bounds.contribution), estimators),
-            ("report.bounds.champion", (bounds.champion,), estimators),
-            ("analysis.estimators", self.analysis.estimators, estimators),
-        ):
-            unknown = [name for name in names if name not in known]
-            if unknown:
-                raise SettingsError(f"{key}: {unknown[0]!r} is not among {', '.join(known)}")
+        estimators = self.evaluate.estimators
+        _check_known("evaluate.groups", self.evaluate.groups, self.scenes.families)
+        _check_known("hand_over.weighted.estimators", self.hand_over.weighted.estimators, estimators)
+        _check_known("analysis.estimators", self.analysis.estimators, estimators)
 
 
-def load_params(path: Path | str = "params.yaml") -> Params:
+def _check_known(key: str, values: Any, known: tuple[Any, ...]) -> None:
+    for value in values:
+        if value not in known:
+            raise ValueError(f"{key}: {value!r} is not among {', '.join(map(str, known))}")
+
+
+# --- files
+
+
+def load_params(path: Path | str = STUDY) -> Params:
     """Read and check a parameter file.
 
     Parameters
     ----------
     path : Path or str
-        YAML file; the default is the study's, relative to the working directory: DVC runs stages at the root.
+        YAML file, relative to the working directory: DVC runs stages at the root.
 
     Returns
     -------
     Params
-        All sections.
+        `StudyParams` where the file has a section that only the study has.
 
     Raises
     ------
     SettingsError
         If the file cannot be read, or a key is unknown, missing, of a wrong type or out of its range. The
-        message names the file and the key.
+        message names the file, the keys and their values.
     """
+    document = _read(path)
+    own = StudyParams.__dataclass_fields__.keys() - Params.__dataclass_fields__.keys()
+    return _checked(StudyParams if isinstance(document, dict) and own & document.keys() else Params, document, path)
+
+
+def load_study(path: Path | str = STUDY) -> StudyParams:
+    """Read and check the parameters of the study, as `load_params` does."""
+    return _checked(StudyParams, _read(path), path)
+
+
+def _read(path: Path | str) -> Any:
     try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise SettingsError(f"{path}: cannot be read as YAML: {error}") from error
+
+
+AnyParams = TypeVar("AnyParams", bound=Params)
+
+
+def _checked(schema: type[AnyParams], document: Any, path: Path | str) -> AnyParams:
     try:
-        return build_section(Params, document, "")
-    except SettingsError as error:
-        raise SettingsError(f"{path}: {error}") from error
+        # As JSON, since strict checks then take lists for tuples, and mappings for sections.
+        return TypeAdapter(schema).validate_json(json.dumps(document, default=str))
+    except ValidationError as error:
+        # A list that lost all its values to other errors is not too short.
+        found = [part for part in error.errors() if part["type"] != "too_short" or not part["input"]]
+        raise SettingsError(f"{path}: " + "; ".join(_message(part) for part in found)) from error
+
+
+def _message(error: ErrorDetails) -> str:
+    key = ".".join(map(str, error["loc"]))
+    match error["type"]:
+        case "missing":
+            return f"missing key {key}"
+        case "unexpected_keyword_argument":
+            return f"unknown key {key}"
+        case "dataclass_type":
+            return f"{key or 'document'}: expected a mapping, got {error['input']!r}"
+        case "value_error":  # of a section; the message begins with the key within it
+            return ".".join(filter(None, (key, str(error["ctx"]["error"]))))
+    return f"{key} = {error['input']!r}: {error['msg']}"

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from epiprior.estimators.handover import HandOver
-from epiprior.estimators.run import estimate_from_matches
 from epiprior.types import FloatArray, MatchSet
 from epiprior_lab.analysis.oracles import Labelled, score
-from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.evaluation.estimates import is_deterministic
-from epiprior_lab.evaluation.rankings import ranking_orders
-from epiprior_lab.evaluation.statistics import average_precision, precision_at
+from epiprior_lab.analysis.records import NO_ESTIMATOR, PrecisionRecord, VariantRecord
+from epiprior_lab.evaluation.inputs import PairMatches
+from epiprior_lab.evaluation.runs import estimates
 from epiprior_lab.labels.ground_truth import errors_px
+from epiprior_lab.measures import average_precision, precision_at
 from epiprior_lab.pairsets import Pair
 
-Row = dict[str, Any]
 HandOvers = Mapping[str, Mapping[str, HandOver]]
-
-NO_ESTIMATOR = "none"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +28,7 @@ class AnalysisSettings:
     Parameters
     ----------
     estimator : str
-        The paper's of this analysis, which runs on every variant.
+        Runs on every variant; the paper's of this analysis.
     others : tuple of str
         Run on sfm alone and on all measures of easy pairs, and on probabilities and true labels of the others.
     beyond : str
@@ -62,10 +58,10 @@ class Bench:
 
     Parameters
     ----------
-    pair : Pair
-        Pair with ground truth.
+    group, pair
+        Lead every record.
     points : tuple of ndarray, shape (N, 2), float64
-        Its control points.
+        Control points of the pair, pixels.
     factors : tuple of float
         Given pixels per working pixel of both images.
     settings : AnalysisSettings
@@ -76,6 +72,7 @@ class Bench:
         The sets of the preset `default`, by whose probabilities every F is scored.
     """
 
+    group: str
     pair: Pair
     points: tuple[FloatArray, FloatArray]
     factors: tuple[float, float]
@@ -83,60 +80,59 @@ class Bench:
     hand_overs: HandOvers
     whole: tuple[Labelled, ...]
 
-    def estimated(self, sets: Sequence[MatchSet], estimator: str, kind: str, *, calibrated: bool = True) -> list[Row]:
-        """Return a row per seed: what the estimator makes of the sets, measured at F before the verdict.
+    @property
+    def key(self) -> dict[str, Any]:
+        """What leads every record."""
+        return {"group": self.group, "pair_id": self.pair.pair_id, "scene": self.pair.scene}
 
-        Parameters
-        ----------
-        sets : sequence of MatchSet
-            One per roll hypothesis.
-        estimator, kind : str
-            The hand-over is that of `estimator` for the input `kind`.
-        calibrated : bool
-            Whether the sets carry probabilities of the model. Else the hand-over does not cut by them.
-        """
-        how = self.hand_overs[estimator][kind]
-        how = how if calibrated else replace(how, min_probability=None)
-        rows: list[Row] = []
+    def estimated(
+        self, experiment: str, variant: str, ranking: str, sets: Sequence[MatchSet], estimator: str, kind: str
+    ) -> Iterator[VariantRecord]:
+        """Yield a record per seed: what the estimator makes of the sets, handed over as those of the input `kind`."""
+        matches = PairMatches(sets={kind: tuple(sets)}, pixel_factors=self.factors)
+        for _, seed, found in estimates(
+            matches,
+            self.pair.pair_id,
+            estimator=estimator,
+            seeds=self.settings.seeds,
+            hand_overs=self.hand_overs[estimator],
+        ):
+            yield self._record(experiment, variant, ranking, estimator, seed, found.raw_F, str(found.status))
+
+    def known(self, experiment: str, variant: str, ranking: str, F: FloatArray | None) -> Iterator[VariantRecord]:
+        """Yield a record per seed, all alike, for a matrix that no estimator chose."""
         for seed in self.settings.seeds:
-            if rows and is_deterministic(estimator):
-                rows.append({**rows[0], "seed": seed})
-                continue
-            found = estimate_from_matches(
-                sets,
-                estimator=estimator,
-                seed=child_seed(seed, self.pair.pair_id),
-                hand_over=how,
-                pixel_factors=self.factors,
-            )
-            rows.append(self._row(estimator, seed, found.raw_F, str(found.status)))
-        return rows
-
-    def known(self, F: FloatArray | None) -> list[Row]:
-        """Return a row per seed, all alike, for a matrix that no estimator chose."""
-        status = "no_model" if F is None else "ok"
-        return [self._row(NO_ESTIMATOR, seed, F, status) for seed in self.settings.seeds]
-
-    def score(self, F: FloatArray | None) -> float:
-        """Return the support of F among the matches, weighted by their probabilities; NaN without F."""
-        return float("nan") if F is None else max(score(F, each.matches, each.pixel) for each in self.whole)
+            yield self._record(experiment, variant, ranking, NO_ESTIMATOR, seed, F, "no_model" if F is None else "ok")
 
     def error_px(self, F: FloatArray | None) -> float:
         """Return the mean Sampson distance of the control points, the paper's measure; NaN without F."""
         return float("nan") if F is None else float(errors_px(F, *self.points).mean())
 
-    def _row(self, estimator: str, seed: int, F: FloatArray | None, status: str) -> Row:
-        row = {"estimator": estimator, "seed": seed, "status": status}
-        return {**row, "error_px": self.error_px(F), "score": self.score(F)}
+    def _record(
+        self, experiment: str, variant: str, ranking: str, estimator: str, seed: int, F: FloatArray | None, status: str
+    ) -> VariantRecord:
+        return VariantRecord(
+            **self.key,
+            experiment=experiment,
+            variant=variant,
+            ranking=ranking,
+            estimator=estimator,
+            seed=seed,
+            status=status,
+            error_px=self.error_px(F),
+            score=float("nan") if F is None else max(score(F, each.matches, each.pixel) for each in self.whole),
+        )
 
-    def precision(self, matches: MatchSet, ranking: str) -> Row:
-        """Return the precision of one ranking of a set, whose matches are among those of the preset `default`."""
-        ranked = matches.take(ranking_orders(matches)[ranking])
-        right = self.whole[0].right_of(ranked)
-        return {
-            "matches": len(right),
-            "right": int(np.count_nonzero(right)),
-            "precision_10": precision_at(right, 10),
-            "precision_100": precision_at(right, 100),
-            "average_precision": average_precision(right),
-        }
+    def precision(self, variant: str, ranking: str, ordered: MatchSet) -> PrecisionRecord:
+        """Return the precision of an ordered set, whose matches are among those of the first set of `whole`."""
+        right = self.whole[0].right_of(ordered.one_to_one())
+        return PrecisionRecord(
+            **self.key,
+            variant=variant,
+            ranking=ranking,
+            matches=len(right),
+            right=int(np.count_nonzero(right)),
+            precision_10=precision_at(right, 10),
+            precision_100=precision_at(right, 100),
+            average_precision=average_precision(right),
+        )

@@ -10,11 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from epiprior.geometry import eight_point
-from epiprior.kernels.refine import SCORE_THRESHOLD_PX, SHRINKING_THRESHOLDS_PX, refine_fundamental, weighted_score
+from epiprior.geometry import (
+    SCORE_THRESHOLD_PX,
+    SHRINKING_THRESHOLDS_PX,
+    eight_point,
+    refine_fundamental,
+    weighted_score,
+)
 from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
 
-ENOUGH_MATCHES = (8, 15)
 _SURE = 0.99
 
 
@@ -58,12 +62,9 @@ def labels_first(labelled: Labelled) -> MatchSet:
 
 
 def fit_right(labelled: Labelled) -> FloatArray | None:
-    """Return F fitted to the right one-to-one matches: the ceiling that their number and noise set.
+    """Return F fitted to the right one-to-one matches, the best that their number and noise allow.
 
-    Returns
-    -------
-    ndarray, shape (3, 3), or None
-        None for fewer than eight, or where they decide nothing.
+    None for fewer than eight, or where they do not determine F.
     """
     chosen = labelled.right_one_to_one
     F = eight_point(chosen.x1, chosen.x2)
@@ -117,24 +118,7 @@ def mean_errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
 def best_hypotheses(
     labelled: Labelled, points: tuple[FloatArray, FloatArray], count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the rough fundamental matrices with the smallest true errors, and these.
-
-    Parameters
-    ----------
-    labelled : Labelled
-        Carries the rough matrices.
-    points : tuple of ndarray, shape (N, 2), float64
-        Control points of both images.
-    count : int
-        How many, at most.
-
-    Returns
-    -------
-    F : ndarray, shape (at most count, 3, 3), float64
-        Best first.
-    errors_px : ndarray, shape (at most count,), float64
-        Ascending.
-    """
+    """Return at most `count` rough matrices of the smallest true errors, ascending, and these errors in pixels."""
     errors = mean_errors_px(labelled.matches.rough_matrices, *points)
     order: IntArray = np.argsort(errors, kind="stable")[:count]
     return labelled.matches.rough_matrices[order], errors[order]

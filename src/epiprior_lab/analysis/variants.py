@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 
-from epiprior.features.detect import View
+from epiprior.features.images import View
+from epiprior.kernels.compilation import compiled
+from epiprior.kernels.sampson import residual_of
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import DEFAULT, PreprocessSettings
 from epiprior.rank import rank_voted
@@ -58,17 +59,7 @@ def propose(
     settings: PreprocessSettings,
     model: RankingModel,
 ) -> Proposals:
-    """Run the method up to the probabilities of the matches of 2keypoints (sections 4.1 to 4.4).
-
-    Parameters
-    ----------
-    images : tuple of path, ndarray or Photograph
-        The photographs.
-    features : tuple of Features
-        Of both.
-    settings, model
-        Preset and model.
-    """
+    """Run the method up to the probabilities of the matches of 2keypoints (sections 4.1 to 4.4)."""
     prepared = prepare_pair(*images, settings, features1=features[0], features2=features[1])
     candidates = tuple(find_candidates(prepared, roll, settings) for roll in roll_hypotheses(prepared, settings))
     probabilities = tuple(
@@ -98,8 +89,8 @@ def ranked_sets(
         `cast_votes`, or `oriented_votes`.
     standard : bool
         Whether X is united with X_L and X_B. False: X alone, whose matches then miss d_r and t_k as the paper says.
-        The model is the same and was trained on the united matches; so are the matches of 2keypoints with their
-        coherence, which X_L and X_B have a say in.
+        The model is the same, trained on the united matches; so are the matches of 2keypoints, whose coherence
+        depends on X_L and X_B as well.
     """
     return tuple(
         rank_voted(
@@ -173,23 +164,18 @@ def reordered(matches: MatchSet, ranking: str) -> MatchSet:
     return replace(taken, probability=taken.supporting_matrices / max(len(taken.rough_matrices), 1))
 
 
-@numba.njit(cache=True, nogil=True)
-def _supports(F, x1, x2, limit_sq, counts):  # type: ignore[no-untyped-def]
+@compiled
+def _supports(F, columns, limit_sq, counts):  # type: ignore[no-untyped-def]
     for k in range(len(F)):
         count = 0
-        for m in range(len(x1)):
-            x, y, u, v = x1[m, 0], x1[m, 1], x2[m, 0], x2[m, 1]
-            l0 = F[k, 0, 0] * x + F[k, 0, 1] * y + F[k, 0, 2]
-            l1 = F[k, 1, 0] * x + F[k, 1, 1] * y + F[k, 1, 2]
-            r0 = F[k, 0, 0] * u + F[k, 1, 0] * v + F[k, 2, 0]
-            r1 = F[k, 0, 1] * u + F[k, 1, 1] * v + F[k, 2, 1]
-            e = u * l0 + v * l1 + F[k, 2, 0] * x + F[k, 2, 1] * y + F[k, 2, 2]
-            count += e * e < limit_sq * (l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1)
+        for m in range(columns.shape[1]):
+            e, gradient = residual_of(F[k], columns[0, m], columns[1, m], columns[2, m], columns[3, m])
+            count += e * e < limit_sq * gradient
         counts[k] = count
 
 
 def supports(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> IntArray:
-    """Return how many matches support each matrix: their Sampson distance is below a threshold.
+    """Return how many matches support each matrix.
 
     Parameters
     ----------
@@ -198,7 +184,7 @@ def supports(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float)
     x1, x2 : ndarray, shape (M, 2), float64
         Matches, pixels.
     threshold_px : float
-        Pixels.
+        A match supports F if its Sampson distance is below this.
 
     Returns
     -------
@@ -206,5 +192,5 @@ def supports(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float)
         0 to M.
     """
     counts = np.zeros(len(F), np.int64)
-    _supports(np.ascontiguousarray(F), x1, x2, threshold_px**2, counts)
+    _supports(np.ascontiguousarray(F), np.ascontiguousarray(np.hstack([x1, x2]).T), threshold_px**2, counts)
     return counts

@@ -10,14 +10,11 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from joblib.externals.loky import get_reusable_executor
 
 from epiprior.errors import EpipriorError, SettingsError
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 _IDLE_SECONDS = 300  # workers stay for the next work, with all that they have imported and compiled
 _CONNECT_SECONDS = 30
@@ -29,15 +26,9 @@ _PARENT_CHECK_SECONDS = 1.0
 class Pool:
     """An executor, and how much it is given at a time.
 
-    Attributes
-    ----------
-    executor : Executor
-        Runs what is submitted.
-    capacity : callable
-        Returns how many tasks should be submitted and not yet done, ``>= 1``: enough that no worker waits, few
-        enough that memory stays bounded. It may change. Raises BrokenExecutor if the workers are lost.
-    remote : bool
-        Workers were started by somebody else, perhaps with other code, in another folder.
+    `capacity` returns how many tasks should be submitted and not yet done, ``>= 1``: enough that no worker waits, few
+    enough that memory stays bounded; it raises BrokenExecutor if the workers are lost. Workers of a `remote` pool were
+    started by somebody else, perhaps with other code, in another folder.
     """
 
     executor: Executor
@@ -45,37 +36,22 @@ class Pool:
     remote: bool
 
 
-@contextlib.contextmanager
-def open_pool(*, workers: int, scheduler: str | None) -> Iterator[Pool]:
-    """Open workers for one piece of work.
+def open_pool(*, workers: int, scheduler: str | None) -> contextlib.AbstractContextManager[Pool]:
+    """Open workers for one piece of work: of a dask scheduler, or processes (with 0 or 1, this process).
 
-    Parameters
-    ----------
-    workers : int
-        Processes, ``>= 0``; with 0 or 1 tasks run in this process. Not used with a scheduler.
-    scheduler : str or None
-        Address of a dask scheduler; None for workers on this machine.
-
-    Yields
-    ------
-    Pool
-        An exception inside, other than an EpipriorError, ends processes beside this one at once, tasks in flight
-        included; a cluster is told to forget the tasks.
+    An exception inside, other than an EpipriorError, ends processes beside this one at once, tasks in flight included;
+    a cluster is told to forget the tasks.
 
     Raises
     ------
     SettingsError
         If the address is none, no scheduler answers, it has no worker, or ``distributed`` is not installed.
     """
-    pool: contextlib.AbstractContextManager[Pool]
     if scheduler is not None:
-        pool = _on_cluster(scheduler)
-    elif workers > 1:
-        pool = _in_processes(workers)
-    else:
-        pool = contextlib.nullcontext(Pool(executor=_InThisProcess(), capacity=lambda: 1, remote=False))
-    with pool as opened:
-        yield opened
+        return _on_cluster(scheduler)
+    if workers > 1:
+        return _in_processes(workers)
+    return contextlib.nullcontext(Pool(executor=_InThisProcess(), capacity=lambda: 1, remote=False))
 
 
 class _InThisProcess(Executor):
@@ -133,7 +109,7 @@ def _on_cluster(address: str) -> Iterator[Pool]:
     except ImportError as error:
         raise SettingsError(f"scheduler = {address!r}: install epiprior[cluster], it needs distributed") from error
     try:
-        # Asked before dask is: a client that finds nobody leaves a thread behind that later ones may wait for.
+        # Asked before dask is: a client without a scheduler leaves a thread behind that later ones may wait for.
         socket.create_connection(get_address_host_port(address), _CONNECT_SECONDS).close()
         client = Client(address, timeout=_CONNECT_SECONDS, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TypeError) as error:
@@ -142,21 +118,19 @@ def _on_cluster(address: str) -> Iterator[Pool]:
         try:
             client.wait_for_workers(1, timeout=_FIRST_WORKER_SECONDS)
         except TimeoutError as error:
-            message = f"no worker came within {_FIRST_WORKER_SECONDS} s"
-            raise SettingsError(f"scheduler = {address!r}: {message}") from error
+            raise SettingsError(f"scheduler = {address!r}: no worker came in {_FIRST_WORKER_SECONDS} s") from error
         # A task carries its own arguments; there is no graph that could be smaller.
         warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
         executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+
+        def capacity() -> int:
+            try:  # workers may come and go
+                return 2 * max(1, len(client.nthreads()))  # type: ignore[no-untyped-call]
+            except OSError as error:
+                raise BrokenExecutor(f"no connection to the scheduler: {error}") from error
+
         try:
-            yield Pool(executor=executor, capacity=lambda: 2 * max(1, _count_workers(client)), remote=True)
+            yield Pool(executor=executor, capacity=capacity, remote=True)
         except BaseException:
             executor.shutdown(wait=False)
             raise
-
-
-def _count_workers(client: "Client") -> int:
-    """Return how many workers there are now: they may come and go."""
-    try:
-        return len(client.nthreads())  # type: ignore[no-untyped-call]
-    except OSError as error:
-        raise BrokenExecutor(f"no connection to the scheduler: {error}") from error

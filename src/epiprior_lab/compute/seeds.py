@@ -8,28 +8,15 @@ from epiprior.errors import SettingsError
 
 
 def child_seed(base: int, *names: str) -> int:
-    """Return the seed of one named piece of work.
+    """Return the seed of one named piece of work, in ``[0, 2**31)``: accepted by all libraries that draw at random.
 
-    Parameters
-    ----------
-    base : int
-        Seed of the whole, ``>= 0``.
-    *names : str
-        What the seed is for, the general before the particular, for example ``("render", "open-test-0003")``.
-
-    Returns
-    -------
-    int
-        In ``[0, 2**31)``: accepted by numpy, scikit-learn, LightGBM, OpenCV and PoseLib alike.
+    `base`, ``>= 0``, is the seed of the whole; `names` say what the seed is for, the general before the particular, for
+    example ``("render", "open-test-0003")``. They are hashed one by one: ``("a", "bc")`` is not ``("ab", "c")``.
 
     Raises
     ------
     SettingsError
         If `base` is negative.
-
-    Notes
-    -----
-    Names are hashed one by one, so ``("a", "bc")`` and ``("ab", "c")`` are different children.
     """
     if base < 0:
         raise SettingsError(f"seed = {base}: expected an integer >= 0")

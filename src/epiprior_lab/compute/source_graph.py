@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,34 +13,18 @@ SOURCE = Path(__file__).resolve().parents[2]
 def source_files(path: Path, root: Path = SOURCE) -> frozenset[Path]:
     """Return all files below a source folder that are loaded when a file is imported or run.
 
-    Parameters
-    ----------
-    path : Path
-        A Python file, below `root` or elsewhere.
-    root : Path
-        Folder of packages; by default the one that holds ``epiprior`` and ``epiprior_lab``.
-
-    Returns
-    -------
-    frozenset of Path
-        `path`, the ``__init__.py`` of its packages, and all that they import, directly or not, inside
-        functions as well. A package that looks names up when they are asked for (module level
-        ``__getattr__``) counts whole where it, or a name of it, is imported.
+    These are `path` (below `root` or elsewhere), the ``__init__.py`` of its packages, and all that they import,
+    directly or not, inside functions as well. A package that looks names up when they are asked for (module level
+    ``__getattr__``) counts whole where it, or a name of it, is imported.
     """
-    waiting = {path, *_packages(path.parent, root)}
+    packages = path.relative_to(root).parents[:-1] if path.is_relative_to(root) else ()
+    waiting = {path, *(root / folder / "__init__.py" for folder in packages)}
     found: set[Path] = set()
     while waiting:
         file = waiting.pop()
         found.add(file)
         waiting |= set(_imported(file, root)) - found
     return frozenset(found)
-
-
-def _packages(folder: Path, root: Path) -> Iterator[Path]:
-    """Yield the ``__init__.py`` of a folder and of those above it, up to the source folder."""
-    while folder != root and folder.is_relative_to(root):
-        yield folder / "__init__.py"
-        folder = folder.parent
 
 
 def _imported(path: Path, root: Path) -> Iterator[Path]:
@@ -76,11 +61,5 @@ def _files(name: tuple[str, ...], root: Path) -> Iterator[Path]:
             break
         folder /= part
         yield folder / "__init__.py"
-    if folder != root and _is_lazy(folder / "__init__.py"):
+    if folder != root and re.search(rb"^def __getattr__\(", (folder / "__init__.py").read_bytes(), re.MULTILINE):
         yield from folder.rglob("*.py")
-
-
-@functools.cache
-def _is_lazy(path: Path) -> bool:
-    tree = ast.parse(path.read_bytes())
-    return any(isinstance(node, ast.FunctionDef) and node.name == "__getattr__" for node in tree.body)

@@ -21,7 +21,7 @@ _DIGEST_BYTES = 32
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Installation:
-    """What a process runs: source files of both packages, by their names below the source folder, and versions."""
+    """What a process runs: names of source files below the source folder; digest of their contents, and of versions."""
 
     sources: tuple[str, ...]
     digest: bytes
@@ -34,43 +34,22 @@ class Installation:
 class ContentKeys:
     """Keys of calls of one function: source, installed versions, payload, and files that it reads.
 
-    Parameters
-    ----------
-    function : callable
-        The function that is called. Its source is its module, and all of these packages that this imports.
-
-    Raises
-    ------
-    SettingsError
-        If the function's module has no source file.
-
-    Attributes
-    ----------
-    installation : Installation
-        What another process must run to get the same results.
+    Its source is its module, and all of these packages that this imports. `installation` is what another process must
+    run to get the same results. SettingsError if the function's module has no source file.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         module = sys.modules[function.__module__]
         if module.__file__ is None:
             raise SettingsError(f"function {function.__qualname__}: module {module.__name__} has no source file")
-        self._common = hashlib.sha256("\0".join([*_names(function), *_environment()]).encode())
         sources = source_files(Path(module.__file__).resolve())
-        self._common.update(_source_digest(sources))
+        self._common = hashlib.sha256(_digest(*_names(function)) + _environment() + _source_digest(sources))
         names = tuple(sorted(file.relative_to(SOURCE).as_posix() for file in sources if file.is_relative_to(SOURCE)))
         self.installation = Installation(sources=names, digest=_installation_digest(names))
         self._files: dict[Path, bytes] = {}
 
     def key(self, payload: Mapping[str, Any], files: Sequence[Path]) -> bytes:
-        """Return the key of one call.
-
-        Raises
-        ------
-        TypeError
-            If the payload holds something that has no stable key.
-        OSError
-            If a file cannot be read.
-        """
+        """Return the key of one call; TypeError for a payload without a stable key, OSError for an unreadable file."""
         digest = self._common.copy()
         for part in _encode(payload):
             digest.update(part)
@@ -83,7 +62,7 @@ class ContentKeys:
 
 def result_path(store: Path, function: Callable[..., Any], name: str) -> Path:
     """Return the one file of a function and task name: readable, and shared with no other."""
-    digest = hashlib.sha256("\0".join([*_names(function), name]).encode()).hexdigest()[:12]
+    digest = _digest(*_names(function), name).hex()[:12]
     readable = re.sub(r"[^\w.-]", "_", name)[:80]
     return store / f"{readable}-{digest}.result"
 
@@ -110,22 +89,26 @@ def write_result(path: Path, key: bytes, body: bytes) -> None:
             raise
 
 
-def _names(function: Callable[..., Any]) -> list[str]:
-    return [function.__module__, function.__qualname__]
+def _names(function: Callable[..., Any]) -> tuple[str, str]:
+    return function.__module__, function.__qualname__
+
+
+def _digest(*texts: str) -> bytes:
+    return hashlib.sha256("\0".join(texts).encode()).digest()
 
 
 @functools.cache
-def _environment() -> tuple[str, ...]:
-    """Return the versions of Python and of all installed distributions."""
-    versions = {f"{item.name}=={item.version}" for item in importlib.metadata.distributions()}
-    return (sys.version, *sorted(versions))
+def _environment() -> bytes:
+    """Return the digest of the versions of Python and of all installed distributions."""
+    return _digest(
+        sys.version, *sorted({f"{item.name}=={item.version}" for item in importlib.metadata.distributions()})
+    )
 
 
 @functools.cache
 def _installation_digest(names: tuple[str, ...]) -> bytes:
     """Return the digest of source files, as they are when it is first asked for, and of versions."""
-    files = [SOURCE / name for name in names if (SOURCE / name).is_file()]
-    return _source_digest(files) + hashlib.sha256("\0".join(_environment()).encode()).digest()
+    return _source_digest(SOURCE / name for name in names if (SOURCE / name).is_file()) + _environment()
 
 
 def _source_digest(files: Iterable[Path]) -> bytes:
@@ -139,33 +122,22 @@ def _source_digest(files: Iterable[Path]) -> bytes:
 
 def _encode(value: Any) -> Iterator[bytes]:
     """Yield bytes that are equal for equal values only; pickle depends on object identity as well."""
-    kind = f"{type(value).__module__}.{type(value).__qualname__}:"
-    if value is None or isinstance(value, (bool, int, float, str, np.generic)):
-        yield _framed(kind + repr(value))
-    elif isinstance(value, bytes):
-        yield _framed(kind + value.hex())
+    text, parts, array = f"{type(value).__module__}.{type(value).__qualname__}:", [], b""
+    if value is None or isinstance(value, (bool, int, float, str, bytes, np.generic)):
+        text += repr(value)
     elif isinstance(value, Path):
-        yield _framed("path:" + value.as_posix())
+        text = "path:" + value.as_posix()
     elif isinstance(value, np.ndarray) and not value.dtype.hasobject:
-        yield _framed(f"{kind}{value.dtype.str}{value.shape}")
-        yield np.ascontiguousarray(value).tobytes()
+        text, array = f"{text}{value.dtype.str}{value.shape}", value.tobytes()
     elif isinstance(value, (list, tuple)):
-        yield _framed(f"{kind}{len(value)}")
-        for item in value:
-            yield from _encode(item)
+        text, parts = f"{text}{len(value)}", list(value)
     elif isinstance(value, Mapping):
-        yield _framed(f"{kind}{len(value)}")
-        for key in sorted(value, key=repr):
-            yield from _encode(key)
-            yield from _encode(value[key])
+        text, parts = f"{text}{len(value)}", [part for key in sorted(value, key=repr) for part in (key, value[key])]
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        yield _framed(kind)
-        yield from _encode({item.name: getattr(value, item.name) for item in dataclasses.fields(value)})
+        parts = [{item.name: getattr(value, item.name) for item in dataclasses.fields(value)}]
     else:
         raise TypeError(f"{type(value).__name__} has no stable key")
-
-
-def _framed(text: str) -> bytes:
-    """Return text with its length before it."""
     encoded = text.encode()
-    return len(encoded).to_bytes(8, "little") + encoded
+    yield len(encoded).to_bytes(8, "little") + encoded + array
+    for part in parts:
+        yield from _encode(part)

@@ -12,25 +12,19 @@ import socket
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from dataclasses import dataclass, field
 from itertools import islice
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import cloudpickle
 import joblib
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from epiprior.errors import EpipriorError, SettingsError
 from epiprior_lab.compute.executors import Pool, open_pool
@@ -51,15 +45,9 @@ class TaskError(EpipriorError):
 class Task:
     """One call of the function of `map_tasks`.
 
-    Attributes
-    ----------
-    name : str
-        Unique within the call, usually the pair id.
-    payload : dict
-        Keyword arguments of the function: None, numbers, strings, bytes, paths, dataclasses, numpy arrays,
-        and lists, tuples and dicts of these.
-    files : tuple of Path
-        Files that the function reads; their contents enter the key.
+    The name is unique within the call, usually the pair id. The payload holds keyword arguments of the function: None,
+    numbers, strings, bytes, paths, dataclasses, numpy arrays, and lists, tuples and dicts of these. `files` are those
+    that the function reads; their contents enter the key.
     """
 
     name: str
@@ -68,24 +56,13 @@ class Task:
 
 
 def default_workers() -> int:
-    """Return the number of workers: ``EPIPRIOR_WORKERS``, or the cores that this process may use.
-
-    Raises
-    ------
-    SettingsError
-        If the variable is not a positive integer.
-    """
+    """Return ``EPIPRIOR_WORKERS`` (SettingsError if not a positive integer), or the cores that this process may use."""
     text = os.environ.get(WORKERS_VARIABLE, "")
     if not text:
         return joblib.cpu_count()  # type: ignore[no-any-return]
     if not text.isdecimal() or int(text) < 1:
         raise SettingsError(f"{WORKERS_VARIABLE} = {text!r}: expected a positive integer")
     return int(text)
-
-
-def default_scheduler() -> str | None:
-    """Return the address of the dask scheduler that gets the tasks: ``EPIPRIOR_SCHEDULER``, or None."""
-    return os.environ.get(SCHEDULER_VARIABLE) or None
 
 
 def map_tasks(
@@ -97,70 +74,66 @@ def map_tasks(
     store: Path | None = None,
     scheduler: str | None = None,
 ) -> list[Any]:
-    """Call ``function(**task.payload)`` for every task.
+    """Call ``function(**task.payload)`` for every task; return the results in the order of the tasks.
 
     Parameters
     ----------
     function : callable
-        A module-level function; deterministic, reads nothing but its arguments and the task's files. Classes of
-        its results can be imported.
+        A module-level function; deterministic, reads nothing but its arguments and the task's files.
     tasks : sequence of Task
         May be empty. Names are unique.
     workers : int
         Processes, ``>= 1``; with 1 the tasks run in this process. Not used with a scheduler.
     description : str
-        What the progress bar and error messages call this work.
+        Name of this work in the progress bar and in messages.
     store : Path, optional
-        Folder of results, made if absent. It keeps one result per function and task name, and uses it again
-        only if its key is the same: function, source of its module and of all that this imports, versions of
-        the installed distributions, payload, contents of the files. Give presets and families a folder each.
-        Only this process writes there.
+        Folder of results, made if absent; only this process writes there. It keeps one result per function and task
+        name, and uses it again only if its key is the same: function, source of its module and of all that this
+        imports, versions of the installed distributions, payload, contents of the files.
     scheduler : str, optional
-        Address of a dask scheduler, such as ``tcp://host:8786``, whose workers get the tasks; `default_scheduler`
-        by default. They need the same installation, and the same files under the same paths.
-
-    Returns
-    -------
-    list
-        Results in the order of the tasks.
+        Address of a dask scheduler, such as ``tcp://host:8786``, whose workers get the tasks; by default that of
+        ``EPIPRIOR_SCHEDULER``. They need the same installation, and the same files under the same paths.
 
     Raises
     ------
     TaskError
         If a task fails: no more are started, those that were handed out end and are kept, and the error names the
-        first one, in the order of the tasks, that failed; this does not depend on the number of workers. Also if a
-        file of a task cannot be read, or the workers are lost. Results that were ready stay in the store.
+        first one, in the order of the tasks, that failed, whatever the number of workers. Also if a file of a task
+        cannot be read, or the workers are lost.
     SettingsError
-        If `workers` is below one, a name is repeated, a payload holds something that has no stable key, or the
-        scheduler cannot be used.
+        If `workers` is below one, a name is repeated, a payload has no stable key, or the scheduler cannot be used.
 
     Notes
     -----
-    An interrupt ends workers on this machine at once; workers of a cluster end the task that they are at. What the
-    store holds by then is used when the run is started again.
+    An interrupt ends workers on this machine at once; those of a cluster end their task. Stored results are used when
+    the run is started again.
     """
     if workers < 1:
         raise SettingsError(f"workers = {workers}: expected 1 or more")
-    names = [task.name for task in tasks]
-    repeated = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set()
+    repeated = [name for name, count in Counter(task.name for task in tasks).items() if count > 1]
     if repeated:
         raise SettingsError(f"{description}: repeated task name {min(repeated)!r}")
     keys = ContentKeys(function)
     results: list[Any] = [None] * len(tasks)
     jobs = []
     for index, task in enumerate(tasks):
-        key = _key(keys, task, description)
+        label = f"{description}: task {task.name!r}"
+        try:
+            key = keys.key(task.payload, task.files)
+        except TypeError as error:
+            raise SettingsError(f"{label}: payload: {error}") from error
+        except OSError as error:
+            raise TaskError(f"{label}: cannot read {error.filename}: {error.strerror}") from error
         path = None if store is None else result_path(store, function, task.name)
         body = None if path is None else read_result(path, key)
         if body is None:
-            label = f"{description}: task {task.name!r}"
             jobs.append(_Job(index=index, task=task, label=label, key=key, path=path))
         else:
             results[index] = pickle.loads(body)
     if store is not None:
         store.mkdir(parents=True, exist_ok=True)
-    scheduler = (scheduler or default_scheduler()) if jobs else None
-    # Limits hold around the workers too: they inherit them through the environment when they load libraries.
+    scheduler = (scheduler or os.environ.get(SCHEDULER_VARIABLE) or None) if jobs else None
+    # Limits hold around the workers too, which inherit them through the environment when they load libraries.
     with (
         _progress(description, len(tasks), len(tasks) - len(jobs)) as advance,
         single_threaded(),
@@ -182,8 +155,7 @@ def single_threaded() -> Iterator[None]:
     import numba
     import threadpoolctl
 
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    threads = cv2.getNumThreads(), numba.get_num_threads()
+    before, threads = dict(os.environ), (cv2.getNumThreads(), numba.get_num_threads())
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))  # for libraries that are loaded from now on
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
@@ -193,11 +165,9 @@ def single_threaded() -> Iterator[None]:
     finally:
         cv2.setNumThreads(threads[0])
         numba.set_num_threads(threads[1])
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in _THREAD_VARIABLES:
+            os.environ.pop(name, None)
+        os.environ.update({name: before[name] for name in _THREAD_VARIABLES if name in before})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,16 +179,6 @@ class _Job:
     label: str
     key: bytes
     path: Path | None
-
-
-def _key(keys: ContentKeys, task: Task, description: str) -> bytes:
-    try:
-        return keys.key(task.payload, task.files)
-    except TypeError as error:
-        raise SettingsError(f"{description}: payload of task {task.name!r}: {error}") from error
-    except OSError as error:
-        message = f"cannot read {error.filename}: {error.strerror}"
-        raise TaskError(f"{description}: task {task.name!r}: {message}") from error
 
 
 def _execute(
@@ -251,7 +211,7 @@ def _execute(
             except (BrokenExecutor, CancelledError):
                 failures.append((-1, _lost(running.values(), description)))
             except Exception as error:  # noqa: BLE001 - of the task, or of a cluster that gave it up
-                failures.append((job.index, error if isinstance(error, TaskError) else _failure(job.label, error)))
+                failures.append((job.index, _failure(job.label, error)))
             else:
                 yield job, body
             del running[future]
@@ -260,7 +220,7 @@ def _execute(
 
 
 def _lost(jobs: Iterable[_Job], description: str) -> TaskError:
-    names = ", ".join(repr(job.task.name) for job in sorted(jobs, key=attrgetter("index")))
+    names = ", ".join(repr(job.task.name) for job in jobs)
     return TaskError(
         f"{description}: workers were killed (perhaps memory ran out: {WORKERS_VARIABLE} sets their number), or "
         f"their scheduler was lost; in flight were {names}; what was ready is kept"
@@ -269,7 +229,7 @@ def _lost(jobs: Iterable[_Job], description: str) -> TaskError:
 
 def _run(call: bytes, label: str, folder: Path, installation: Installation | None) -> bytes:
     """Run one task with one thread, and return its result pickled."""
-    # Thread limits and working folder belong to the process; a worker of a cluster may have several threads.
+    # Thread limits and working folder belong to the process, and a worker of a cluster may have several threads.
     with _ONE_AT_A_TIME, single_threaded():
         try:
             with contextlib.chdir(folder):
@@ -283,7 +243,7 @@ def _run(call: bytes, label: str, folder: Path, installation: Installation | Non
 
 
 def _failure(label: str, error: Exception) -> TaskError:
-    return TaskError(f"{label} failed: {type(error).__name__}: {error}")
+    return error if isinstance(error, TaskError) else TaskError(f"{label} failed: {type(error).__name__}: {error}")
 
 
 # --- progress
@@ -291,7 +251,7 @@ def _failure(label: str, error: Exception) -> TaskError:
 
 @contextlib.contextmanager
 def _progress(description: str, total: int, done: int) -> Iterator[Callable[[], None]]:
-    """Yield a function that advances a bar on a terminal, or writes a line every ten seconds elsewhere."""
+    """Yield a function that advances a bar on a terminal, or elsewhere writes a line every ten seconds."""
     console = Console(stderr=True)
     if console.is_terminal:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -302,15 +262,15 @@ def _progress(description: str, total: int, done: int) -> Iterator[Callable[[], 
     start = last = time.monotonic()
     count = done
 
+    def line(end: str) -> None:
+        sys.stderr.write(f"{description}: {count} of {total} after {time.monotonic() - start:.0f} s{end}\n")
+
     def advance() -> None:
         nonlocal count, last
         count += 1
-        now = time.monotonic()
-        if now - last >= _SECONDS_BETWEEN_LINES:
-            last = now
-            sys.stderr.write(f"{description}: {count} of {total} after {now - start:.0f} s\n")
+        if time.monotonic() - last >= _SECONDS_BETWEEN_LINES:
+            last = time.monotonic()
+            line("")
 
     yield advance
-    sys.stderr.write(
-        f"{description}: {total} of {total} after {time.monotonic() - start:.0f} s, {done} from the store\n"
-    )
+    line(f", {done} from the store")

@@ -1,34 +1,29 @@
-"""Rankings of the matches of one pair against the ground truth: precision, roll densities, calibration.
+"""What is found of a pair before any estimator runs: its truth, its rankings, the calibration of its probabilities.
 
-The rankings are those of the paper's figure of cumulative precision and of its analysis: ``lowe`` (X_L by
-distance ratio), ``blogs`` (X_B by similarity weight), ``2keypoint`` (by the best 2keypoint match that holds
-the match), ``sfm`` (by supporting fundamental matrices) and ``final`` (by probability).
+The rankings are those of the paper's figure of cumulative precision and of its analysis: ``lowe`` (X_L by distance
+ratio), ``blogs`` (X_B by similarity weight), ``2keypoint`` (by the best 2keypoint match that holds the match), ``sfm``
+(by supporting fundamental matrices) and ``final`` (by probability). This module imports no estimator, so that a changed
+estimator leaves stored results as they are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from epiprior.matching.roll import expected_roll, orientation_differences, roll_density
-from epiprior.types import BoolArray, IntArray, MatchSet
-from epiprior_lab.evaluation.statistics import (
-    RANKING_DEPTHS,
-    average_precision,
-    calibration_bins,
-    log_ranks,
-    precision_at,
-    right_among_first,
-)
-from epiprior_lab.labels.ground_truth import LabelSettings, label_matches
+from epiprior.matching.roll import expected_roll, orientation_differences
+from epiprior.matching.selection import one_to_one_mask
+from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
+from epiprior_lab.evaluation.inputs import PRESETS, MatchFiles
+from epiprior_lab.evaluation.records import RANKS, CalibrationRecord, PairRecord, RankingRecord, Record
+from epiprior_lab.evaluation.truth import TruthSettings, pair_truth, true_roll_deg
+from epiprior_lab.labels.ground_truth import label_matches
+from epiprior_lab.measures import average_precision, calibration_bins, right_among_first
 from epiprior_lab.pairsets import Pair
 
-Row = dict[str, Any]
-
-RANKINGS = ("lowe", "blogs", "2keypoint", "sfm", "final")
-_MAX_RANK = 10_000
-_ROLL_STEP = 4  # of the density's half degrees
+_TOP = 100
 
 
 def ranking_orders(matches: MatchSet) -> dict[str, IntArray]:
@@ -42,7 +37,7 @@ def ranking_orders(matches: MatchSet) -> dict[str, IntArray]:
     Returns
     -------
     dict of str to ndarray, shape (n,), int64
-        For each of `RANKINGS`. Ties are broken by the features' indices, so that no ranking profits from
+        For each of `records.RANKINGS`. Ties are broken by the features' indices, so that no ranking profits from
         another.
     """
 
@@ -59,104 +54,87 @@ def ranking_orders(matches: MatchSet) -> dict[str, IntArray]:
     }
 
 
-def ranked_lists(pair: Pair, matches: MatchSet, labels: LabelSettings) -> dict[str, BoolArray]:
-    """Return which matches of each ranking are right, best first.
+def best_hypothesis(sets: Sequence[MatchSet]) -> MatchSet:
+    """Return the set of the roll hypothesis whose 100 most probable one-to-one matches are the most probable."""
+    return max(sets, key=lambda found: float(np.nansum(found.one_to_one().probability[:_TOP])))
+
+
+def walked(matches: MatchSet, order: IntArray) -> IntArray:
+    """Return the indices of `order` without those of matches whose feature, in either image, was used before."""
+    return np.asarray(order[one_to_one_mask(matches.feature1[order], matches.feature2[order])])
+
+
+def roll_differences(matches: MatchSet) -> FloatArray:
+    """Return the differences of orientations in X_L and X_B, degrees: what the roll is read from (section 4.2)."""
+    standard = (matches.distance_ratio < 1) | (matches.similarity_weight > 0)
+    return orientation_differences(matches.orientation1_deg, matches.orientation2_deg)[standard]
+
+
+def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSettings) -> list[Record]:
+    """Return the records of a pair, its rankings and their calibration; the last two only for a labelled pair.
 
     Parameters
     ----------
     pair : Pair
-        Gives the ground truth.
-    matches : MatchSet
-        A ranked set.
-    labels : LabelSettings
-        When a match counts as right.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n,), bool
-        For each of `RANKINGS`.
+        With ground truth.
+    matches : MatchFiles
+        All inputs; without ``standard`` the difficulty stays unknown.
+    group : str
+        Leads every record.
+    truth : TruthSettings
+        When a match is right, and what makes a pair hard.
     """
-    right = label_matches(pair, matches.x1, matches.x2, matches.scale1, matches.scale2, settings=labels)
-    return {name: right[index] for name, index in ranking_orders(matches).items()}
+    sets, known = matches.read().sets, pair_truth(pair, truth)
+    key = {"group": group, "pair_id": pair.pair_id, "scene": pair.scene}
+    share = float("nan")
+    records: list[Record] = []
+    for name in sets if known.labels else ():
+        ranked = best_hypothesis(sets[name])
+        right = label_matches(pair, ranked.x1, ranked.x2, ranked.scale1, ranked.scale2, settings=truth.labels)
+        if name == "standard":
+            share = float(right.mean()) if len(right) else 0.0
+        orders = ranking_orders(ranked) if name in PRESETS else {"final": np.arange(len(ranked))}
+        for ranking, order in orders.items():
+            hits = right[walked(ranked, order)]
+            records.append(
+                RankingRecord(
+                    **key,
+                    input=name,
+                    ranking=ranking,
+                    matches=len(hits),
+                    right=int(np.count_nonzero(hits)),
+                    average_precision=average_precision(hits),
+                    right_at=tuple(int(n) for n in right_among_first(hits, np.array(RANKS))),
+                )
+            )
+        if name in PRESETS:
+            records += _calibration(key, name, ranked.probability, right)
+    rolled = len(sets["default"][0]) > 0 if "default" in sets else False
+    about = PairRecord(
+        **key,
+        features1=matches.features[0],
+        features2=matches.features[1],
+        labels=known.labels,
+        points=known.points,
+        right_share=share,
+        difficulty=truth.difficulty(share),
+        true_roll_deg=true_roll_deg(pair),
+        expected_roll_deg=float(expected_roll(roll_differences(sets["default"][0]))) if rolled else float("nan"),
+    )
+    return [about, *records]
 
 
-def ranking_rows(lists: dict[str, BoolArray]) -> list[Row]:
-    """Return one row per ranking: its size, right matches, precision at several depths, average precision."""
+def _calibration(key: dict[str, str], name: str, probability: FloatArray, right: BoolArray) -> list[CalibrationRecord]:
+    sums = calibration_bins(probability, right)
     return [
-        {
-            "ranking": name,
-            "matches": len(right),
-            "right": int(np.count_nonzero(right)),
-            **{f"precision_{depth}": precision_at(right, depth) for depth in RANKING_DEPTHS},
-            "average_precision": average_precision(right),
-        }
-        for name, right in lists.items()
-    ]
-
-
-def curve_rows(lists: dict[str, BoolArray]) -> list[Row]:
-    """Return one row per ranking and rank: ``ranking, rank, right`` among the first `rank` matches."""
-    ranks = log_ranks(_MAX_RANK, per_decade=10)
-    return [
-        {"ranking": name, "rank": int(rank), "right": int(hits)}
-        for name, right in lists.items()
-        for rank, hits in zip(ranks, right_among_first(right, ranks), strict=True)
-    ]
-
-
-def calibration_rows(matches: MatchSet, right: BoolArray, bins: int = 20) -> list[Row]:
-    """Return one row per bin of probability: ``bin, count, right, probability, squared_error``.
-
-    Parameters
-    ----------
-    matches : MatchSet
-        A ranked set.
-    right : ndarray, shape (N,), bool
-        Whether each of its matches is right.
-    bins : int
-        Number of bins; sums of pairs may be added.
-    """
-    sums = calibration_bins(matches.probability, right, bins)
-    return [
-        {
-            "bin": b,
-            "count": int(sums.count[b]),
-            "right": int(sums.right[b]),
-            "probability": float(sums.probability[b]),
-            "squared_error": float(sums.squared_error[b]),
-        }
-        for b in range(bins)
-    ]
-
-
-def true_roll_deg(pair: Pair) -> float:
-    """Return the roll between the cameras, degrees in (-180, 180]; NaN without cameras.
-
-    Notes
-    -----
-    The angle of the rotation that lies closest to the upper left 2 x 2 block of the relative rotation: how
-    directions near the optical axis turn in the image, clockwise as seen on the screen.
-    """
-    if pair.camera1 is None or pair.camera2 is None:
-        return float("nan")
-    R = pair.camera2.R @ pair.camera1.R.T
-    return float(np.degrees(np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])))
-
-
-def roll_rows(pair: Pair, matches: MatchSet) -> list[Row]:
-    """Return the density of the roll over X_L and X_B, every two degrees (paper, section 4.2).
-
-    Returns
-    -------
-    list of dict
-        ``true_roll_deg`` (from the cameras), ``expected_roll_deg`` (the highest peak), ``angle_deg`` in [0,
-        360) and ``density`` per degree.
-    """
-    standard = (matches.distance_ratio < 1) | (matches.similarity_weight > 0)
-    differences = orientation_differences(matches.orientation1_deg, matches.orientation2_deg)[standard]
-    angles, density = roll_density(differences)
-    row = {"true_roll_deg": true_roll_deg(pair), "expected_roll_deg": expected_roll(differences)}
-    return [
-        {**row, "angle_deg": float(a), "density": float(d)}
-        for a, d in zip(angles[::_ROLL_STEP], density[::_ROLL_STEP], strict=True)
+        CalibrationRecord(
+            **key,
+            input=name,
+            bin=b,
+            count=int(sums.count[b]),
+            right=int(sums.right[b]),
+            probability=float(sums.probability[b]),
+            squared_error=float(sums.squared_error[b]),
+        )
+        for b in range(len(sums.count))
     ]

@@ -17,9 +17,33 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from epiprior.errors import SettingsError
-from epiprior.types import BoolArray, FloatArray, IntArray
+from epiprior.types import BoolArray, FloatArray
+from epiprior_lab.measures import (
+    CalibrationBins,
+    average_precision,
+    calibration_bins,
+    log_ranks,
+    precision_at,
+    right_among_first,
+)
 
-RANKING_DEPTHS = (10, 100, 500)
+__all__ = [
+    "CalibrationBins",
+    "Comparison",
+    "Interval",
+    "area_under_success_curve",
+    "average_precision",
+    "bootstrap_mean",
+    "bootstrap_weights",
+    "calibration_bins",
+    "contribution",
+    "log_ranks",
+    "paired_bootstrap",
+    "precision_at",
+    "right_among_first",
+    "success_curve",
+    "successes",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,112 +253,3 @@ def area_under_success_curve(errors_px: ArrayLike, limit_px: float) -> float:
     """
     errors = np.nan_to_num(np.asarray(errors_px, np.float64), nan=np.inf)
     return float(np.clip(1 - errors / limit_px, 0, 1).mean())
-
-
-def precision_at(right: BoolArray, depth: int) -> float:
-    """Return the share of right matches among the first `depth`.
-
-    Parameters
-    ----------
-    right : ndarray, shape (N,), bool
-        Whether each match is right, best first.
-    depth : int
-        Number of leading matches, >= 1.
-
-    Returns
-    -------
-    float
-        In [0, 1]. A list that is shorter counts as filled up with wrong matches, as in the paper's "number of
-        inliers among the top 100".
-    """
-    return float(np.count_nonzero(right[:depth]) / depth)
-
-
-def average_precision(right: BoolArray) -> float:
-    """Return the mean over the right matches of the precision at their rank; 0 if none is right."""
-    hits = np.flatnonzero(right)
-    if not len(hits):
-        return 0.0
-    return float((np.arange(1, len(hits) + 1) / (hits + 1)).mean())
-
-
-def log_ranks(limit: int, per_decade: int = 12) -> IntArray:
-    """Return increasing, different ranks from 1 to `limit`, evenly spread on a logarithmic scale.
-
-    Parameters
-    ----------
-    limit : int
-        Highest rank, >= 1; always the last one.
-    per_decade : int
-        Ranks per factor of ten before rounding.
-    """
-    exponents = np.arange(int(np.floor(np.log10(limit) * per_decade)) + 1) / per_decade
-    return np.unique(np.append(np.rint(10**exponents).astype(np.int64), limit))
-
-
-def right_among_first(right: BoolArray, ranks: IntArray) -> IntArray:
-    """Return the number of right matches among the first ``ranks[i]``, for each i."""
-    total = np.concatenate([[0], np.cumsum(right, dtype=np.int64)])
-    return np.asarray(total[np.minimum(ranks, len(right))])
-
-
-@dataclass(frozen=True, kw_only=True)
-class CalibrationBins:
-    """Sums over equal bins of probability; sums of several pairs may be added.
-
-    Parameters
-    ----------
-    count, right : ndarray, shape (B,), int64
-        Matches in the bin, and right ones among them.
-    probability, squared_error : ndarray, shape (B,), float64
-        Sum of probabilities, and of squared differences from 1 (right) or 0 (wrong).
-    """
-
-    count: IntArray
-    right: IntArray
-    probability: FloatArray
-    squared_error: FloatArray
-
-    @property
-    def brier_score(self) -> float:
-        """Mean squared error of the probabilities; NaN without matches."""
-        return float(self.squared_error.sum() / self.count.sum()) if self.count.sum() else float("nan")
-
-    @property
-    def expected_calibration_error(self) -> float:
-        """Mean gap over bins between probability and share of right matches, weighted by matches."""
-        gaps = np.abs(self.probability - self.right).sum()
-        return float(gaps / self.count.sum()) if self.count.sum() else float("nan")
-
-
-def calibration_bins(probability: FloatArray, right: BoolArray, bins: int = 20) -> CalibrationBins:
-    """Sum probabilities and outcomes over `bins` equal bins of [0, 1].
-
-    Parameters
-    ----------
-    probability : ndarray, shape (N,), float64
-        In [0, 1].
-    right : ndarray, shape (N,), bool
-        Outcomes.
-    bins : int
-        Number of bins, >= 1; the last one holds 1.
-
-    Raises
-    ------
-    SettingsError
-        If a probability is not in [0, 1].
-    """
-    p = np.asarray(probability, np.float64)
-    if len(p) and not (p.min() >= 0 and p.max() <= 1):
-        raise SettingsError(f"calibration: probabilities from {p.min()} to {p.max()}, expected 0 to 1")
-    index = np.minimum((p * bins).astype(np.int64), bins - 1)
-
-    def sums(weights: FloatArray) -> FloatArray:
-        return np.bincount(index, weights=weights, minlength=bins).astype(np.float64)
-
-    return CalibrationBins(
-        count=np.bincount(index, minlength=bins),
-        right=np.bincount(index[right], minlength=bins),
-        probability=sums(p),
-        squared_error=sums((p - right) ** 2),
-    )

@@ -7,22 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from epiprior.features.detect import FeatureSettings, Photograph, detect_features, load_photograph
+from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.features.images import Photograph, load_photograph
 from epiprior.types import Features
 from epiprior_lab.pairsets import Pair
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedPair:
-    """The working images of a pair and their features.
-
-    Parameters
-    ----------
-    photographs : tuple of Photograph
-        They remember their descriptors at fixed orientations.
-    features : tuple of Features
-        Of both images, at their own orientations.
-    """
+    """The working images of a pair, which cache their descriptors at fixed orientations, and their features."""
 
     photographs: tuple[Photograph, Photograph]
     features: tuple[Features, Features]

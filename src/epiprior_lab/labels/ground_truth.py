@@ -8,7 +8,8 @@ comes from the cameras, or is fitted to all control points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -18,6 +19,7 @@ from epiprior.errors import SettingsError
 from epiprior.geometry import MIN_MATCHES, as_points, eight_point, normalise_fundamental, sampson_distance
 from epiprior.types import BoolArray, Float32Array, FloatArray
 from epiprior_lab.pairsets import Camera, DatasetError, Pair, covisible, depth_at, reproject, transfer
+from epiprior_lab.params import TruthParams
 
 _RIM_REACH_PX = (1.0, 4.0)
 _RIM_BEND = 0.1
@@ -25,24 +27,17 @@ _RIM_BEND = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class LabelSettings:
-    """When a match counts as right.
+    """When a match counts as right; SettingsError if a value is out of its range.
 
     Parameters
     ----------
-    tolerance_px : float
-        Reprojection error that is always allowed, pixels, > 0.
-    tolerance_sigma : float
-        Reprojection error that is allowed as a multiple of the feature's sigma, >= 0: large features are
-        located less well.
+    tolerance_px, tolerance_sigma : float
+        Reprojection error that is allowed: the larger of so many pixels (> 0) and of a multiple of the feature's sigma
+        (>= 0), since large features are located less well.
     depth_tolerance : float
         Relative difference of depth below which a point counts as visible, in (0, 1).
     epipolar_px : float
         Sampson distance that is allowed where there is no depth, pixels, > 0.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
     """
 
     tolerance_px: float = 3.0
@@ -50,14 +45,20 @@ class LabelSettings:
     depth_tolerance: float = 0.02
     epipolar_px: float = 2.0
 
+    @classmethod
+    def of(cls, truth: TruthParams) -> Self:
+        """Return the tolerances of a parameter file."""
+        return cls(**{part.name: getattr(truth, part.name) for part in fields(cls)})
+
     def __post_init__(self) -> None:
-        for name in ("tolerance_px", "epipolar_px"):
-            if not getattr(self, name) > 0:
-                raise SettingsError(f"{name} = {getattr(self, name)}, expected a number > 0")
-        if not self.tolerance_sigma >= 0:
-            raise SettingsError(f"tolerance_sigma = {self.tolerance_sigma}, expected a number >= 0")
-        if not 0 < self.depth_tolerance < 1:
-            raise SettingsError(f"depth_tolerance = {self.depth_tolerance}, expected a number in (0, 1)")
+        for name, allowed, expected in (
+            ("tolerance_px", self.tolerance_px > 0, "> 0"),
+            ("epipolar_px", self.epipolar_px > 0, "> 0"),
+            ("tolerance_sigma", self.tolerance_sigma >= 0, ">= 0"),
+            ("depth_tolerance", 0 < self.depth_tolerance < 1, "in (0, 1)"),
+        ):
+            if not allowed:
+                raise SettingsError(f"{name} = {getattr(self, name)}, expected a number {expected}")
 
 
 def label_matches(
@@ -98,9 +99,8 @@ def label_matches(
 
     Notes
     -----
-    A feature at the rim of an object may lie on the background, beside what it describes. So where there is a
-    rim within half a sigma (1 to 4 px), the depth on its other side may confirm the match as well. Points at
-    infinity (sky) are never right.
+    A feature at the rim of an object may lie on the background, beside what it describes: where there is a rim within
+    half a sigma (1 to 4 px), the depth on its other side may confirm the match as well. Sky is never right.
     """
     settings = settings or LabelSettings()
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
@@ -162,20 +162,15 @@ def _depths_at_rims(depth: Float32Array, x: FloatArray, scale: FloatArray) -> li
 def reference_fundamental(pair: Pair) -> FloatArray:
     """Return the true F of a pair: as given, from its cameras, else fitted to all its control points.
 
+    The fit is the normalised eight-point algorithm, refined to the least Sampson distances, robustly, 1 px (Hartley and
+    Zisserman, Multiple View Geometry, 2nd ed., section 11.4.3). On a pair whose control points lie on one plane it is
+    one of many F that explain them.
+
     Raises
     ------
     DatasetError
         If the cameras share their centre, a homography is the ground truth, or there are fewer than eight control
         points or they decide nothing.
-
-    Notes
-    -----
-    The fit is the normalised eight-point algorithm, refined to the least Sampson distances (robustly, 1 px). On a
-    pair whose control points lie on one plane it is one of many F that explain them.
-
-    References
-    ----------
-    Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 11.4.3.
     """
     F = pair.fundamental()
     if F is None and pair.camera1 is None and pair.homography_path is None:
@@ -187,17 +182,9 @@ def reference_fundamental(pair: Pair) -> FloatArray:
 
 
 def fit_to_points(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
-    """Return the F of smallest Sampson distances, from the eight-point estimate on; single bad points count less.
+    """Return the F of smallest Sampson distances to control points (N, 2), pixels; single bad points count less.
 
-    Parameters
-    ----------
-    x1, x2 : ndarray, shape (N, 2), float64
-        Control points, pixels.
-
-    Returns
-    -------
-    ndarray, shape (3, 3), or None
-        Normalised as by `normalise_fundamental`; None for fewer than eight points or where they decide nothing.
+    It is normalised; None for fewer than eight points or where they decide nothing.
     """
     F = eight_point(x1, x2) if len(x1) >= MIN_MATCHES else None
     if F is None:
@@ -228,21 +215,12 @@ def errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
 def control_points_from_depth(
     cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array], *, count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return matched points spread evenly over all that both images see.
-
-    Parameters
-    ----------
-    cameras, depths : tuples
-        Of both images.
-    count : int
-        How many points, >= 1; fewer come back where fewer pixels are common.
-    seed : int
-        Of the random choice within grid cells.
+    """Return `count` matched points, spread evenly over all that both images see; fewer where fewer pixels are common.
 
     Returns
     -------
     x1, x2 : ndarray, shape (N, 2), float64
-        Points at pixel centres of image 1, and exactly where depth puts them in image 2.
+        Points at pixel centres of image 1, drawn within grid cells, and exactly where depth puts them in image 2.
     """
     x1, x2, visible = covisible(cameras, depths)
     x1, x2 = x1[visible], x2[visible]

@@ -12,14 +12,7 @@ from epiprior_lab.pairsets import Pair
 def right_among_putative(pair: Pair, labels: LabelSettings) -> int:
     """Return the number of right matches among X (paper, section 4.3), under the roll hypothesis that has most.
 
-    No model and no estimator has a say in it.
-
-    Parameters
-    ----------
-    pair : Pair
-        With ground truth that labels matches.
-    labels : LabelSettings
-        When a match counts as right.
+    It depends on no model and no estimator.
     """
     prepared = prepare_pair(pair.image1, pair.image2, DEFAULT)
     (f1, f2), (place1, place2) = prepared.features, prepared.locations

@@ -20,20 +20,10 @@ _RELIEF_M = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What is photographed.
+    """What is photographed: cameras stand before `frame`, `eye_m` above the ground, and aim at a place on it.
 
-    Parameters
-    ----------
-    frame : Frame
-        Its foot and front; cameras stand before it.
-    distance_m : tuple of float
-        From the subject to the nearer camera, metres.
-    obliquity_deg : float
-        Largest angle between the front's normal and a camera's direction.
-    aim_across_m, aim_up_m : tuple of float
-        Where on the subject cameras aim, metres in `frame`.
-    eye_m : tuple of float
-        Height of the cameras above the ground, metres.
+    `distance_m` is that of the nearer camera, `obliquity_deg` the largest angle between the front's normal and a
+    camera's direction. All bounds are (low, high).
     """
 
     frame: Frame
@@ -42,15 +32,6 @@ class Subject:
     aim_across_m: tuple[float, float]
     aim_up_m: tuple[float, float]
     eye_m: tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraPair:
-    """Two cameras and how their views differ (measured on small depth maps)."""
-
-    camera1: Camera
-    camera2: Camera
-    difference: ViewDifference
 
 
 def look_at(
@@ -68,29 +49,23 @@ def look_at(
 
 
 def draw_camera_pair(
-    rng: np.random.Generator,
-    world: World,
-    subject: Subject,
-    settings: FamilySettings,
-    *,
-    width: int,
-    height: int,
-) -> CameraPair | None:
-    """Return the first of 40 draws whose angle, overlap and relief are within bounds; None if none is."""
+    rng: np.random.Generator, world: World, subject: Subject, settings: FamilySettings, *, width: int, height: int
+) -> tuple[Camera, Camera, ViewDifference] | None:
+    """Return the first of 40 draws whose angle, overlap and relief are within bounds; None if none is.
+
+    How the views differ is measured on small depth maps.
+    """
     for _ in range(_TRIES):
         camera1, camera2 = _draw(rng, subject, settings, width=width, height=height)
         small = _preview(camera1), _preview(camera2)
-        depths = (
-            render_depth(world, small[0], view=FIRST_VIEW),
-            render_depth(world, small[1], view=SECOND_VIEW),
-        )
+        depths = render_depth(world, small[0], view=FIRST_VIEW), render_depth(world, small[1], view=SECOND_VIEW)
         if min(float(np.quantile(depth, 0.03)) for depth in depths) < _LEAST_DEPTH_M:
             continue
         difference = view_difference(small, depths, step=1)
         within = settings.overlap[0] <= difference.overlap <= settings.overlap[1]
         within &= settings.angle_deg[0] <= difference.angle_deg <= settings.angle_deg[1]
         if within and _relief(subject.frame, small, depths) >= settings.relief:
-            return CameraPair(camera1=camera1, camera2=camera2, difference=difference)
+            return camera1, camera2, difference
     return None
 
 

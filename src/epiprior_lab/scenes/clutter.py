@@ -1,16 +1,43 @@
-"""Things that stand about: trees, lamps, cars, passers-by, crates, boards, hedges, fences, rocks."""
+"""Things that stand about (trees, cars, passers-by, crates, boards, hedges, fences, rocks), and how they are placed."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 
-from epiprior_lab.scenes.details import letters, poster
-from epiprior_lab.scenes.materials import foliage, jittered, wall, wall_style
-from epiprior_lab.scenes.placing import Placer, random_frame
-from epiprior_lab.scenes.rocks import add_rock
-from epiprior_lab.scenes.textures import PICTURES, crop, noise, surface, tinted
+from epiprior.types import FloatArray
+from epiprior_lab.scenes.details import poster
+from epiprior_lab.scenes.materials import Colour, foliage, jittered, wall, wall_style
+from epiprior_lab.scenes.textures import PICTURES, SURFACES, crop, letters, noise, print_line, surface, tinted
 from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, Image, Vector, WorldBuilder, box, upright
+
+Placer = Callable[[WorldBuilder, np.random.Generator, Vector, int], None]
+
+
+def random_frame(rng: np.random.Generator, position: Vector) -> Frame:
+    """Return a frame at a position, turned at random."""
+    return Frame.facing(position, float(rng.uniform(0, 360)))
+
+
+def scatter(
+    world: WorldBuilder,
+    rng: np.random.Generator,
+    placers: tuple[Placer, ...],
+    *,
+    count: int,
+    across: tuple[float, float],
+    before: tuple[float, float],
+    view: int,
+) -> None:
+    """Add `count` things of random kinds, at random positions in a rectangle before the subject, for one view or both.
+
+    `across` and `before` are bounds in metres, along the subject and away from it.
+    """
+    for _ in range(count):
+        position = float(rng.uniform(*across)), 0.0, -float(rng.uniform(*before))
+        placers[int(rng.integers(len(placers)))](world, rng, position, view)
 
 
 def add_tree(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
@@ -46,16 +73,7 @@ def _board(rng: np.random.Generator, height: int, width: int) -> Image:
     image[:] = jittered(rng, (130, 120, 110), 0.8)
     ink = (24, 24, 28) if image.mean() > 110 else (238, 234, 220)
     for y in range(height // 3, height, height // 3):
-        cv2.putText(
-            image,
-            letters(rng, 9),
-            (4, y),
-            cv2.FONT_HERSHEY_DUPLEX,
-            height / 110,
-            ink,
-            max(1, height // 64),
-            cv2.LINE_AA,
-        )
+        print_line(image, letters(rng, 9), (4, y), height / 110, ink, max(1, height // 64))
     cv2.rectangle(image, (0, 0), (width - 1, height - 1), ink, max(1, height // 24))
     return image
 
@@ -67,16 +85,14 @@ def add_car(world: WorldBuilder, rng: np.random.Generator, position: Vector, vie
     van = rng.random() < 0.3
     length, low, high = (5.2, 1.1, 2.3) if van else (4.3, 0.78, 1.42)
     side, front = world.texture(_car_side(rng, colour)), world.texture(_car_front(rng, colour))
-    glass, top = (
-        world.texture(_car_windows(rng, colour)),
-        world.texture(tinted(colour, 0.03 * noise(rng, 64, 128, "coarse"))),
-    )
+    glass = world.texture(_car_windows(rng, colour))
+    top = world.texture(tinted(colour, 0.03 * noise(rng, 64, 128, "coarse")))
     box(world, frame, (0.0, length), (0.18, low), (-1.7, 0.0), textures=(side, front, top), views=views)
     start = 0.2 if van else 1.0
     box(world, frame, (start, length - 0.5), (low, high), (-1.6, -0.1), textures=(glass, glass, top), views=views)
 
 
-def _car_side(rng: np.random.Generator, colour: tuple[float, float, float]) -> Image:
+def _car_side(rng: np.random.Generator, colour: Colour) -> Image:
     """Return the side of a car below its windows."""
     image = tinted(colour, 0.04 * noise(rng, 96, 480, "coarse"))
     for x in (95, 385):
@@ -91,18 +107,18 @@ def _car_side(rng: np.random.Generator, colour: tuple[float, float, float]) -> I
     return image
 
 
-def _car_front(rng: np.random.Generator, colour: tuple[float, float, float]) -> Image:
+def _car_front(rng: np.random.Generator, colour: Colour) -> Image:
     """Return the front of a car."""
     image = tinted(colour, 0.04 * noise(rng, 96, 200, "coarse"))
     cv2.rectangle(image, (60, 20), (140, 44), (30, 30, 32), -1)
     for x in (28, 172):
         cv2.ellipse(image, (x, 32), (20, 12), 0, 0, 360, (232, 230, 214), -1, cv2.LINE_AA)
     cv2.rectangle(image, (66, 58), (134, 78), (236, 234, 224), -1)
-    cv2.putText(image, letters(rng, 6), (70, 74), cv2.FONT_HERSHEY_DUPLEX, 0.5, (16, 16, 20), 1, cv2.LINE_AA)
+    print_line(image, letters(rng, 6), (70, 74), 0.5, (16, 16, 20), 1)
     return image
 
 
-def _car_windows(rng: np.random.Generator, colour: tuple[float, float, float]) -> Image:
+def _car_windows(rng: np.random.Generator, colour: Colour) -> Image:
     """Return the windows of a car."""
     image = np.asarray(crop(rng, 64, 256, PICTURES) // 4 + 18, dtype=np.uint8)
     for x in (0, 120, 248):
@@ -134,9 +150,9 @@ def add_crates(world: WorldBuilder, rng: np.random.Generator, position: Vector, 
     bottom, half = 0.0, float(rng.uniform(0.35, 0.9))
     for _ in range(int(rng.integers(1, 4))):
         high = float(rng.uniform(0.7, 1.5)) * half
-        faces = [_crate_side(rng) for _ in range(2)]
-        numbers = world.texture(faces[0]), world.texture(faces[1]), world.texture(_crate_side(rng))
-        box(world, frame, (-half, half), (bottom, bottom + high), (-half, half), textures=numbers, views=views)
+        front, sides, top = (world.texture(_crate_side(rng)) for _ in range(3))
+        extent = (-half, half)
+        box(world, frame, extent, (bottom, bottom + high), extent, textures=(front, sides, top), views=views)
         bottom += high
         half *= float(rng.uniform(0.6, 0.95))
         frame = random_frame(rng, frame.point(*rng.uniform(-0.15, 0.15, size=2) * [half, 0]))
@@ -166,15 +182,8 @@ def add_hedge(world: WorldBuilder, rng: np.random.Generator, position: Vector, v
     relief = 0.3 * surface(rng, 128, 384, ("grass", "gravel"), zoom=0.6) + 0.2 * noise(rng, 128, 384, "middle")
     leaves = world.texture(tinted(jittered(rng, (74, 96, 48), 0.25), relief))
     frame = Frame.facing(position, float(rng.normal(0, 20)))
-    box(
-        world,
-        frame,
-        (0.0, float(rng.uniform(1.5, 5))),
-        (0.0, float(rng.uniform(0.5, 1.3))),
-        (-0.6, 0.0),
-        textures=leaves,
-        views=views,
-    )
+    length, high = float(rng.uniform(1.5, 5)), float(rng.uniform(0.5, 1.3))
+    box(world, frame, (0.0, length), (0.0, high), (-0.6, 0.0), textures=leaves, views=views)
 
 
 def add_fence(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
@@ -186,16 +195,50 @@ def add_fence(world: WorldBuilder, rng: np.random.Generator, position: Vector, v
         image[:, x : x + int(rng.integers(5, 14))] = colour
     image[..., :3] = np.clip(image[..., :3] * (1 + 0.1 * noise(rng, 96, 96, "fine"))[..., None], 0, 255)
     frame, length = Frame.facing(position, float(rng.normal(0, 25))), float(rng.uniform(2.5, 6.0))
-    upright(
-        world,
-        frame,
-        (0.0, length),
-        (0.0, 1.0),
-        0.0,
-        texture=world.texture(image),
-        area=(0.0, 0.0, length, 1.0),
-        views=views,
-    )
+    area = (0.0, 0.0, length, 1.0)
+    upright(world, frame, (0.0, length), (0.0, 1.0), 0.0, texture=world.texture(image), area=area, views=views)
+
+
+def add_rock(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+    """Add a rock or statue: a bumpy ball of triangles, on a pedestal at times."""
+    radius = float(rng.uniform(0.35, 0.9))
+    relief = 0.22 * surface(rng, 256, 512, SURFACES, zoom=float(rng.uniform(0.6, 1.5)))
+    relief = relief + 0.16 * noise(rng, 256, 512, "middle")
+    texture = world.texture(tinted(jittered(rng, (148, 140, 126), 0.3), relief))
+    frame, base = random_frame(rng, position), 0.0
+    if rng.random() < 0.5:
+        base = float(rng.uniform(0.5, 1.4))
+        plinth = world.texture(wall(rng, 128, 160, wall_style(rng, distinct=0.6), texels_per_m=100.0))
+        square = (-0.8 * radius, 0.8 * radius)
+        box(world, frame, square, (0.0, base), square, textures=plinth, views=views)
+    points = _bumpy_ball(rng, radius, stretch=float(rng.uniform(0.8, 1.8)))
+    centre = frame.point(0.0, base + 0.8 * radius)
+    rows, columns = points.shape[0] - 1, points.shape[1] - 1
+    for i in range(rows):
+        for j in range(columns):
+            p = points[i : i + 2, j : j + 2] + centre
+            u, v, du, dv = j / columns, i / rows, 1 / columns, 1 / rows
+            upper = np.array([[u, v], [du, 0.0], [0.0, dv]])
+            lower = np.array([[u + du, v + dv], [-du, 0.0], [0.0, -dv]])
+            for (here, right, left), part in (
+                ((p[0, 0], p[0, 1], p[1, 0]), upper),
+                ((p[1, 1], p[1, 0], p[0, 1]), lower),
+            ):
+                world.face(here, right - here, left - here, texture, texture_frame=part, triangle=True, views=views)
+
+
+def _bumpy_ball(rng: np.random.Generator, radius: float, *, stretch: float) -> FloatArray:
+    """Return points on a ball with dents, shape (13, 21, 3): from the top down, and around as seen from outside."""
+    rows, columns = 12, 20
+    bumps = cv2.GaussianBlur(rng.standard_normal((rows + 1, columns)), (0, 0), 0.8, borderType=cv2.BORDER_REFLECT)
+    bumps = 1.0 + 0.4 * bumps
+    bumps[0], bumps[-1] = 1.0, 1.0
+    bumps = np.column_stack([bumps, bumps[:, 0]])
+    polar = np.linspace(0, np.pi, rows + 1)[:, None]
+    around = np.linspace(0, 2 * np.pi, columns + 1)[None]
+    x, z = np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around)
+    y = -stretch * np.cos(polar) * np.ones_like(around)
+    return np.asarray(radius * bumps[..., None] * np.stack([x, y, z], axis=-1))
 
 
 FURNITURE: tuple[Placer, ...] = (

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from epiprior_lab.scenes.materials import jittered
-from epiprior_lab.scenes.textures import PICTURES, crop, noise
+from epiprior_lab.scenes.textures import PICTURES, crop, letters, noise, print_line
 from epiprior_lab.scenes.windows import paste
 from epiprior_lab.scenes.world import Image
 
@@ -22,22 +22,8 @@ def poster(rng: np.random.Generator, height: int, width: int) -> Image:
     ink = tuple(int(c) for c in rng.integers(10, 90, size=3))
     size = max(0.3, width / 260)
     for y in range(bottom + int(22 * size), height - margin, max(4, int(26 * size))):
-        cv2.putText(
-            image,
-            letters(rng, 14),
-            (margin, y),
-            cv2.FONT_HERSHEY_DUPLEX,
-            size,
-            ink,
-            max(1, int(size * 1.6)),
-            cv2.LINE_AA,
-        )
+        print_line(image, letters(rng, 14), (margin, y), size, ink, max(1, int(size * 1.6)))
     return image
-
-
-def letters(rng: np.random.Generator, count: int) -> str:
-    """Return random capital letters and blanks."""
-    return "".join(chr(c) if c < 91 else " " for c in rng.integers(65, 95, size=count).tolist())
 
 
 def paint_details(rng: np.random.Generator, wall: Image, *, count: int, texels_per_m: float) -> None:
@@ -59,16 +45,8 @@ def _sign(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -
     sign = np.empty((height, int(height * rng.uniform(2, 6)), 3), dtype=np.uint8)
     sign[:] = jittered(rng, (120, 110, 100), 0.7)
     ink = (20, 20, 24) if sign.mean() > 110 else (236, 232, 214)
-    cv2.putText(
-        sign,
-        letters(rng, 10),
-        (4, int(0.75 * height)),
-        cv2.FONT_HERSHEY_TRIPLEX,
-        height / 40,
-        ink,
-        max(1, height // 18),
-        cv2.LINE_AA,
-    )
+    at, triplex = (4, int(0.75 * height)), cv2.FONT_HERSHEY_TRIPLEX
+    print_line(sign, letters(rng, 10), at, height / 40, ink, max(1, height // 18), font=triplex)
     cv2.rectangle(sign, (0, 0), (sign.shape[1] - 1, height - 1), ink, max(1, height // 16))
     paste(wall, sign, x, y)
 

@@ -21,24 +21,8 @@ Opening = tuple[float, float, float, float]
 class HouseStyle:
     """What the walls of a house have in common.
 
-    Parameters
-    ----------
-    wall : WallStyle
-        Masonry.
-    window : WindowStyle
-        Windows.
-    storey_m, bay_m : float
-        Distances of windows, vertically and horizontally, metres.
-    recess_m : float
-        How deep windows lie in the wall, metres.
-    balconies : float
-        Share of the windows that have one.
-    cornices : bool
-        Whether mouldings run along every storey.
-    details : float
-        Single things (posters, stains, ...) per square metre.
-    texels_per_m : float
-        Resolution of the textures.
+    Windows are `storey_m` and `bay_m` from each other, and `recess_m` deep in the wall, metres; `balconies` is the
+    share of the windows that have one, `details` the number of single things (posters, stains, ...) per square metre.
     """
 
     wall: WallStyle
@@ -79,29 +63,17 @@ def add_house(
     width: float,
     height: float,
     depth: float,
-    blind_back: bool = True,
 ) -> None:
-    """Add a house whose front stands on `frame`: front, both sides, back, and a roof."""
+    """Add a house whose front stands on `frame`: front, both sides, and a roof."""
     add_facade(world, rng, frame, style, width=width, height=height)
     simple = replace(style, details=style.details / 2, texels_per_m=0.6 * style.texels_per_m)
     add_facade(world, rng, frame.side(width), simple, width=depth, height=height)
-    left = Frame(frame.point(0.0, 0.0, -depth), frame.outward, -frame.right)
-    add_facade(world, rng, left, simple, width=depth, height=height)
-    if not blind_back:
-        back = Frame(frame.point(width, 0.0, -depth), -frame.right, -frame.outward)
-        add_facade(world, rng, back, simple, width=width, height=height)
+    add_facade(world, rng, frame.left_side(-depth), simple, width=depth, height=height)
     _add_roof(world, rng, frame, width=width, height=height, depth=depth)
 
 
 def add_facade(
-    world: WorldBuilder,
-    rng: np.random.Generator,
-    frame: Frame,
-    style: HouseStyle,
-    *,
-    width: float,
-    height: float,
-    doors: bool = True,
+    world: WorldBuilder, rng: np.random.Generator, frame: Frame, style: HouseStyle, *, width: float, height: float
 ) -> None:
     """Add one wall with everything on it."""
     scale = style.texels_per_m
@@ -109,7 +81,7 @@ def add_facade(
     outside = np.full((rows, columns, 4), 255, dtype=np.uint8)
     outside[..., :3] = wall(rng, rows, columns, style.wall, texels_per_m=scale)
     inside = np.full((rows, columns, 4), 255, dtype=np.uint8)
-    windows, entrances = _openings(rng, style, width=width, height=height, doors=doors)
+    windows, entrances = _openings(rng, style, width=width, height=height)
     carving = carved_lintel(rng, style.window, texels_per_m=scale)
     for opening in windows:
         left, top, right, bottom = _texels(opening, height, scale)
@@ -139,7 +111,7 @@ def _texels(opening: Opening, height: float, scale: float) -> tuple[int, int, in
 
 
 def _openings(
-    rng: np.random.Generator, style: HouseStyle, *, width: float, height: float, doors: bool
+    rng: np.random.Generator, style: HouseStyle, *, width: float, height: float
 ) -> tuple[list[Opening], list[Opening]]:
     """Return windows and entrances (a0, b0, a1, b1): a grid with gaps, doors and shops at its foot."""
     window = style.window
@@ -154,7 +126,7 @@ def _openings(
         for bay in range(bays):
             middle = margin + (bay + 0.5) * style.bay_m
             chance = rng.random()
-            if storey == 0 and doors and chance < 0.3:
+            if storey == 0 and chance < 0.3:
                 half = 0.5 * min(rng.uniform(1.0, 2.4), style.bay_m - 0.4)
                 entrances.append((middle - half, 0.05, middle + half, min(2.5, style.storey_m - 0.2)))
             elif chance < 0.96:

@@ -38,18 +38,8 @@ _COURSES: dict[str, tuple[tuple[float, float], tuple[float, float], float, float
 class WallStyle:
     """What a wall is made of.
 
-    Parameters
-    ----------
-    masonry : str
-        One of `MASONRY`.
-    colour, second_colour : tuple of float
-        RGB, 0 to 255; the second shows in stains.
-    course_m, stone_m : float
-        Height and width of a stone, metres.
-    roughness : float
-        Deviation of brightness by unevenness, as a part of brightness.
-    stains : float
-        Deviation of brightness over metres.
+    The second colour shows in stains; `course_m` and `stone_m` are height and width of a stone, metres; `roughness` and
+    `stains` are deviations of brightness by unevenness and over metres, as parts of brightness.
     """
 
     masonry: Masonry
@@ -121,23 +111,17 @@ def courses(
 
 def wall(rng: np.random.Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float) -> Image:
     """Return a wall, shape (height, width, 3), that repeats only what its masonry repeats."""
-    relief = style.roughness * surface(
-        rng, height, width, ("gravel", "grass", "tissue", "moon"), zoom=float(rng.uniform(0.8, 2.5))
-    )
+    grain = ("gravel", "grass", "tissue", "moon")
+    relief = style.roughness * surface(rng, height, width, grain, zoom=float(rng.uniform(0.8, 2.5)))
     relief += 0.7 * style.roughness * noise(rng, height, width, "fine")
     stains = noise(rng, height, width, "coarse")
     relief += style.stains * stains + 0.5 * style.stains * noise(rng, height, width, "middle")
     if style.masonry in _COURSES:
         _, _, tones, joints = _COURSES[style.masonry]
+        course, stone = max(3.0, style.course_m * texels_per_m), max(5.0, style.stone_m * texels_per_m)
+        regular = style.masonry in ("brick", "tiles", "ashlar")
         relief += courses(
-            rng,
-            height,
-            width,
-            course_px=max(3.0, style.course_m * texels_per_m),
-            stone_px=max(5.0, style.stone_m * texels_per_m),
-            tones=tones,
-            joints=joints,
-            regular=style.masonry in ("brick", "tiles", "ashlar"),
+            rng, height, width, course_px=course, stone_px=stone, tones=tones, joints=joints, regular=regular
         )
     elif rng.random() < 0.7:
         _add_cracks(rng, relief, count=int(rng.integers(3, 12)))
@@ -159,15 +143,8 @@ def _add_cracks(rng: np.random.Generator, relief: Float32Array, *, count: int) -
 def roof(rng: np.random.Generator, height: int, width: int, *, texels_per_m: float) -> Image:
     """Return rows of roof tiles."""
     colour = jittered(rng, ROOF_COLOURS[int(rng.integers(len(ROOF_COLOURS)))], 0.15)
-    relief = courses(
-        rng,
-        height,
-        width,
-        course_px=rng.uniform(0.2, 0.35) * texels_per_m,
-        stone_px=rng.uniform(0.2, 0.35) * texels_per_m,
-        tones=0.08,
-        joints=0.25,
-    )
+    course, stone = rng.uniform(0.2, 0.35) * texels_per_m, rng.uniform(0.2, 0.35) * texels_per_m
+    relief = courses(rng, height, width, course_px=course, stone_px=stone, tones=0.08, joints=0.25)
     relief += 0.08 * noise(rng, height, width, "middle") + 0.04 * noise(rng, height, width, "fine")
     return tinted(colour, relief, (90, 96, 70), np.clip(0.25 * noise(rng, height, width, "coarse"), 0, 1))
 
@@ -178,25 +155,13 @@ def pavement(rng: np.random.Generator, height: int, width: int, *, texels_per_m:
     relief = 0.07 * noise(rng, height, width, "coarse") + 0.03 * noise(rng, height, width, "fine")
     if kind == "grass":
         relief += 0.16 * surface(rng, height, width, ("grass",), zoom=float(rng.uniform(0.4, 0.8)))
-        return tinted(
-            (104, 118, 62),
-            relief,
-            (150, 140, 84),
-            np.clip(0.4 + 0.4 * noise(rng, height, width, "middle"), 0, 1),
-        )
+        mixture = np.clip(0.4 + 0.4 * noise(rng, height, width, "middle"), 0, 1)
+        return tinted((104, 118, 62), relief, (150, 140, 84), mixture)
     grey = jittered(rng, (140, 134, 126), 0.2)
     if kind in ("slabs", "setts"):
         side = (rng.uniform(0.35, 0.8) if kind == "slabs" else rng.uniform(0.12, 0.2)) * texels_per_m
-        relief += courses(
-            rng,
-            height,
-            width,
-            course_px=side,
-            stone_px=side * rng.uniform(1.0, 1.6),
-            tones=0.08,
-            joints=0.3,
-            regular=bool(rng.random() < 0.6),
-        )
+        stone, regular = side * rng.uniform(1.0, 1.6), bool(rng.random() < 0.6)
+        relief += courses(rng, height, width, course_px=side, stone_px=stone, tones=0.08, joints=0.3, regular=regular)
     zoom = float(rng.uniform(0.2, 0.35) if kind == "asphalt" else rng.uniform(0.3, 0.6))
     relief += (0.12 if kind == "gravel" else 0.04) * surface(rng, height, width, ("gravel",), zoom=zoom)
     return tinted(grey, relief)
@@ -209,22 +174,16 @@ def foliage(rng: np.random.Generator, side: int) -> Image:
     green = jittered(rng, (84, 104, 52), 0.25)
     image = tinted(green, relief)
     y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]
-    density = (
-        1.1 - np.hypot(x, y) * 1.35 + 0.35 * noise(rng, side, side, "middle") + 0.25 * noise(rng, side, side, "fine")
-    )
+    density = 1.1 - np.hypot(x, y) * 1.35 + 0.35 * noise(rng, side, side, "middle")
+    density += 0.25 * noise(rng, side, side, "fine")
     opacity = np.where(density > 0, 255, 0).astype(np.uint8)
     return np.dstack([image, opacity])
 
 
 def ornament(rng: np.random.Generator, height: int, width: int, colour: Colour) -> Image:
     """Return a carved relief in one colour, shape (height, width, 3): a part of a photograph turned to stone."""
-    carved = crop(
-        rng,
-        height,
-        width,
-        ("coins", "china", "flower", "motorcycle", "astronaut", "moon", "camera"),
-        part=(0.2, 0.5),
-    )
+    names = ("coins", "china", "flower", "motorcycle", "astronaut", "moon", "camera")
+    carved = crop(rng, height, width, names, part=(0.2, 0.5))
     grey = cv2.cvtColor(carved, cv2.COLOR_RGB2GRAY).astype(np.float32)
     grey -= grey.mean()
     return tinted(colour, np.asarray(0.28 * grey / max(float(grey.std()), 4.0), dtype=np.float32))

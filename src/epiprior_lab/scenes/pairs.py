@@ -10,13 +10,10 @@ from epiprior.errors import EpipriorError, SettingsError
 from epiprior.types import Float32Array
 from epiprior_lab.pairsets import Camera, ViewDifference
 from epiprior_lab.scenes.camera_pairs import draw_camera_pair
-from epiprior_lab.scenes.light import draw_light
-from epiprior_lab.scenes.open_scenes import draw_open_scene
 from epiprior_lab.scenes.photography import draw_photograph, take
-from epiprior_lab.scenes.render import render_depth, render_image
+from epiprior_lab.scenes.places import draw_open_scene, draw_street
+from epiprior_lab.scenes.render import cast_shadows, draw_light, render_depth, render_image
 from epiprior_lab.scenes.settings import FAMILIES, FamilySettings
-from epiprior_lab.scenes.shadows import cast_shadows
-from epiprior_lab.scenes.streets import draw_street
 from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Image
 
 _WORLDS = 12
@@ -26,20 +23,12 @@ class SceneError(EpipriorError, RuntimeError):
     """No two cameras could be placed within a family's bounds; the message names family and seed."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RenderedPair:
     """Two images of one scene with exact ground truth.
 
-    Parameters
-    ----------
-    image1, image2 : ndarray, shape (H, W, 3), uint8
-        RGB.
-    depth1, depth2 : ndarray, shape (H, W), float32
-        Depth along the optical axis at pixel centres, metres; inf where nothing is seen.
-    camera1, camera2 : Camera
-        Cameras.
-    difference : ViewDifference
-        How the views differ.
+    Images are (H, W, 3), RGB; depths (H, W), along the optical axis at pixel centres, metres, inf where nothing is
+    seen; `difference` tells how the views differ.
     """
 
     image1: Image
@@ -49,19 +38,6 @@ class RenderedPair:
     camera1: Camera
     camera2: Camera
     difference: ViewDifference
-
-
-def family_settings(family: str) -> FamilySettings:
-    """Return the settings of a family.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such family.
-    """
-    if family not in FAMILIES:
-        raise SettingsError(f"family = {family!r}, expected one of {', '.join(FAMILIES)}")
-    return FAMILIES[family]
 
 
 def render_pair(
@@ -80,11 +56,6 @@ def render_pair(
     settings : FamilySettings, optional
         In place of the family's.
 
-    Returns
-    -------
-    RenderedPair
-        Images, depths and cameras.
-
     Raises
     ------
     SettingsError
@@ -92,7 +63,9 @@ def render_pair(
     SceneError
         If a dozen scenes in a row offer no two views within the family's bounds.
     """
-    settings = family_settings(family) if settings is None else settings
+    if settings is None and family not in FAMILIES:
+        raise SettingsError(f"family = {family!r}, expected one of {', '.join(FAMILIES)}")
+    settings = settings or FAMILIES[family]
     if min(width, height) < 64:
         raise SettingsError(f"image size {width} x {height}, expected at least 64 x 64")
     for attempt in np.random.SeedSequence(seed).spawn(_WORLDS):
@@ -105,19 +78,9 @@ def render_pair(
         images, depths = [], []
         light = draw_light(rng)
         lights = light, draw_light(rng) if rng.random() < settings.relit else light
-        for camera, view, sun in zip(
-            (cameras.camera1, cameras.camera2), (FIRST_VIEW, SECOND_VIEW), lights, strict=True
-        ):
+        for camera, view, sun in zip(cameras[:2], (FIRST_VIEW, SECOND_VIEW), lights, strict=True):
             shadows = cast_shadows(world, sun, subject.frame.foot, view=view)
             images.append(take(render_image(world, camera, sun, shadows, view=view), draw_photograph(rng), rng))
             depths.append(render_depth(world, camera, view=view))
-        return RenderedPair(
-            image1=images[0],
-            image2=images[1],
-            depth1=depths[0],
-            depth2=depths[1],
-            camera1=cameras.camera1,
-            camera2=cameras.camera2,
-            difference=cameras.difference,
-        )
+        return RenderedPair(*images, *depths, *cameras)
     raise SceneError(f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes")

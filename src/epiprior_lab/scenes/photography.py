@@ -16,20 +16,8 @@ from epiprior_lab.scenes.world import Image
 class Photograph:
     """How one picture was taken.
 
-    Parameters
-    ----------
-    exposure : float
-        Median brightness that the camera aims at, levels of 256.
-    balance : tuple of float
-        Factors of red, green and blue on top.
-    gamma : float
-        Exponent of the tone curve.
-    vignetting : float
-        Loss of brightness in the corners, in [0, 1).
-    blur_px : float
-        Sigma of the blur, pixels.
-    noise : float
-        Deviation of the noise at mid-grey, levels of 256.
+    `exposure` is the median brightness that the camera aims at, levels of 256; `balance` holds factors of red, green
+    and blue; `vignetting` is the loss of brightness in the corners, in [0, 1); `noise` is a deviation, levels of 256.
     """
 
     exposure: float

@@ -1,6 +1,8 @@
-"""A camera's view of a world: image and exact depth."""
+"""A camera's view of a world: how it is lit, its image and its exact depth."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,10 +10,36 @@ from numpy.typing import NDArray
 from epiprior.types import Float32Array, FloatArray
 from epiprior_lab.pairsets import Camera
 from epiprior_lab.scenes import raster
-from epiprior_lab.scenes.light import Light, Shadows
 from epiprior_lab.scenes.world import BOTH_VIEWS, Image, World
 
 _NEAR = 0.05
+_MAP_SIDE = 1280
+_SUN_DISTANCE_M = 400.0
+_REACH_M = 32.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Light:
+    """How a place is lit: the unit vector towards the sun, and the brightness without sun, in [0, 1]."""
+
+    to_sun: FloatArray
+    ambient: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shadows:
+    """Distance of the lit surface from the sun, (N, N), metres; `projection`, (3, 4), takes the world to its pixels."""
+
+    projection: FloatArray
+    depth: Float32Array
+
+
+def draw_light(rng: np.random.Generator) -> Light:
+    """Draw sunshine, or in a quarter of the cases an overcast sky."""
+    direction = np.array([rng.uniform(-1.0, 1.0), -rng.uniform(0.45, 1.3), -rng.uniform(0.25, 1.0)])
+    overcast = rng.random() < 0.25
+    ambient = float(rng.uniform(0.8, 0.9) if overcast else rng.uniform(0.42, 0.62))
+    return Light(to_sun=direction / np.linalg.norm(direction), ambient=ambient)
 
 
 def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Float32Array:
@@ -24,25 +52,10 @@ def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Flo
 def render_image(
     world: World, camera: Camera, light: Light, shadows: Shadows, *, view: int = BOTH_VIEWS, samples: int = 2
 ) -> Image:
-    """Return a camera's image, before anything that a lens or sensor does to it.
+    """Return a camera's image, (height, width, 3) RGB, before anything that a lens or sensor does to it.
 
-    Parameters
-    ----------
-    world : World
-        What is seen.
-    camera : Camera
-        From where.
-    light, shadows : Light, Shadows
-        The sun, and what it sees of this world.
-    view : int, default BOTH_VIEWS
-        Faces of the other view only are left out.
-    samples : int, default 2
-        Samples per pixel along each axis, for the rims of faces; textures are filtered in any case.
-
-    Returns
-    -------
-    ndarray, shape (height, width, 3), uint8
-        RGB.
+    Faces of the other view only are left out. `samples` per pixel along each axis serve the rims of faces; textures are
+    filtered in any case.
     """
     faces = _faces(world, camera, view, light)
     _, number = _nearest(world, camera, faces, samples)
@@ -83,6 +96,11 @@ def _faces(world: World, camera: Camera, view: int, light: Light | None) -> rast
     index = index[np.argsort(polygons[index, :, 2].min(axis=1), kind="stable")]
     normal = np.cross(world.down[index], world.across[index])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    brightness = np.zeros((len(normal), 2))
+    if light is not None:
+        by_sun = (1.0 - light.ambient) * np.maximum(normal @ light.to_sun, 0.0)
+        own = world.brightness[index]
+        brightness = np.column_stack([own * light.ambient, own * by_sun])
     return raster.Faces(
         inverse=np.ascontiguousarray(np.linalg.inv(M[index])),
         bounds=np.ascontiguousarray(bounds[index]),
@@ -92,16 +110,8 @@ def _faces(world: World, camera: Camera, view: int, light: Light | None) -> rast
         cut_out=world.cut_out[index],
         mirror=world.mirror[index],
         normal=normal,
-        light=_light_on(normal, world.brightness[index], light),
+        light=brightness,
     )
-
-
-def _light_on(normal: FloatArray, brightness: FloatArray, light: Light | None) -> FloatArray:
-    """Return each face's brightness in the shade and what the sun adds, shape (N, 2); zeros without light."""
-    if light is None:
-        return np.zeros((len(normal), 2))
-    by_sun = (1.0 - light.ambient) * np.maximum(normal @ light.to_sun, 0.0)
-    return np.column_stack([brightness * light.ambient, brightness * by_sun])
 
 
 def _bounds(polygons: FloatArray, camera: Camera) -> FloatArray:
@@ -119,3 +129,17 @@ def _bounds(polygons: FloatArray, camera: Camera) -> FloatArray:
     low = np.where(valid[..., None], pixels, np.inf).min(axis=1)
     high = np.where(valid[..., None], pixels, -np.inf).max(axis=1)
     return np.concatenate([np.maximum(low, -1e6), np.minimum(high, 1e6)], axis=1)
+
+
+def cast_shadows(world: World, light: Light, middle: FloatArray, *, view: int) -> Shadows:
+    """Return what a sun 400 m away sees within about 30 m of `middle`."""
+    eye = middle + _SUN_DISTANCE_M * light.to_sun
+    forward = -light.to_sun
+    right = np.cross(np.array([0.0, 1.0, 0.0]), forward)
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward])
+    focal, centre = 0.5 * _MAP_SIDE * _SUN_DISTANCE_M / _REACH_M, (_MAP_SIDE - 1) / 2
+    K = np.array([[focal, 0.0, centre], [0.0, focal, centre], [0.0, 0.0, 1.0]])
+    sun = Camera(K=K, R=R, t=-R @ eye, width=_MAP_SIDE, height=_MAP_SIDE)
+    projection = np.column_stack([K @ sun.R, K @ sun.t])
+    return Shadows(projection=projection, depth=render_depth(world, sun, view=view))

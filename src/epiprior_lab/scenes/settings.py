@@ -3,41 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from epiprior.errors import SettingsError
 
 Bounds = tuple[float, float]
+_LIMITS = dict.fromkeys(("facades", "distinct", "variety", "overlap", "relief", "relit"), (0, 1))
+_LIMITS |= {"angle_deg": (0, 90), "scale_ratio": (1, 8), "roll_deg": (0, 180), "passing": (0, 20)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class FamilySettings:
     """How scenes of a family look and how they are photographed. All bounds are (low, high).
 
-    Parameters
-    ----------
-    facades : float
-        Share of the scenes that are streets; the others are open places. In [0, 1].
-    distinct : tuple of float
-        How far one place of a wall differs from the others, in [0, 1].
-    variety : tuple of float
-        How far one window differs from the next, in [0, 1].
-    angle_deg : tuple of float
-        Median angle between the rays of both cameras, degrees.
-    overlap : tuple of float
-        Part of what either image sees that the other sees too, in [0, 1].
-    scale_ratio : tuple of float
-        Ratio of the distances of both cameras, >= 1.
-    roll_deg : tuple of float
-        Rotation of the second camera about its axis, either way, degrees.
-    relief : float
-        Least part of what both images see that lies off the front's plane, in [0, 1]: on one plane no F is
-        decided.
-    passing : tuple of float
-        Things that stand in one image only, for each image.
-    relit : float
-        Share of the pairs whose second image is taken under another sun, in [0, 1].
+    `facades` is the share of the scenes that are streets, the others are open places; `relit` that of the pairs whose
+    second image is taken under another sun. `distinct` and `variety` tell how far one place of a wall differs from the
+    others, and one window from the next, in [0, 1]. `angle_deg` is the median angle between the rays of both cameras,
+    `overlap` the part of what either image sees that the other sees too, `scale_ratio` that of the distances of both
+    cameras, `roll_deg` the rotation of the second camera about its axis, either way. `relief` is the least part of
+    what both images see that lies off the front's plane: on one plane no F is decided. `passing` is the number of
+    things that stand in one image only, for each image.
     """
 
     facades: float
@@ -52,17 +38,11 @@ class FamilySettings:
     relit: float
 
     def __post_init__(self) -> None:
-        for name in ("facades", "relief", "relit"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise SettingsError(f"{name} = {getattr(self, name)}, expected a number in [0, 1]")
-        limits = {"distinct": (0, 1), "variety": (0, 1), "angle_deg": (0, 90), "overlap": (0, 1), "scale_ratio": (1, 8),
-                  "roll_deg": (0, 180), "passing": (0, 20)}  # fmt: skip
-        for field in fields(self):
-            if field.name in limits:
-                low, high = getattr(self, field.name)
-                least, most = limits[field.name]
-                if not least <= low <= high <= most:
-                    raise SettingsError(f"{field.name} = ({low}, {high}), expected {least} <= low <= high <= {most}")
+        for name, (least, most) in _LIMITS.items():
+            value = getattr(self, name)
+            low, high = value if isinstance(value, tuple) else (value, value)
+            if not least <= low <= high <= most:
+                raise SettingsError(f"{name} = {value}, expected {least} <= low <= high <= {most}")
 
 
 FAMILIES: Mapping[str, FamilySettings] = MappingProxyType(

@@ -18,25 +18,13 @@ from epiprior_lab.scenes.world import Image
 
 Grain = Literal["fine", "middle", "coarse"]
 
-_FILES = {
-    "astronaut": ("skimage.data", "astronaut.png"),
-    "brick": ("skimage.data", "brick.png"),
-    "camera": ("skimage.data", "camera.png"),
-    "chelsea": ("skimage.data", "chelsea.png"),
-    "coffee": ("skimage.data", "coffee.png"),
-    "coins": ("skimage.data", "coins.png"),
-    "grass": ("skimage.data", "grass.png"),
-    "gravel": ("skimage.data", "gravel.png"),
-    "hubble": ("skimage.data", "hubble_deep_field.jpg"),
-    "tissue": ("skimage.data", "ihc.png"),
-    "moon": ("skimage.data", "moon.png"),
-    "motorcycle": ("skimage.data", "motorcycle_left.png"),
-    "page": ("skimage.data", "page.png"),
-    "rocket": ("skimage.data", "rocket.jpg"),
-    "text": ("skimage.data", "text.png"),
-    "china": ("sklearn.datasets.images", "china.jpg"),
-    "flower": ("sklearn.datasets.images", "flower.jpg"),
-}
+_SKIMAGE = (
+    "astronaut.png brick.png camera.png chelsea.png coffee.png coins.png grass.png gravel.png hubble_deep_field.jpg "
+    "ihc.png moon.png motorcycle_left.png page.png rocket.jpg text.png"
+)
+_NAMES = {"hubble_deep_field": "hubble", "ihc": "tissue", "motorcycle_left": "motorcycle"}
+_FILES = {_NAMES.get(stem, stem): ("skimage.data", file) for file in _SKIMAGE.split() for stem in (file.split(".")[0],)}
+_FILES |= {name: ("sklearn.datasets.images", f"{name}.jpg") for name in ("china", "flower")}
 PICTURES = ("astronaut", "camera", "chelsea", "china", "coffee", "coins", "flower", "motorcycle", "rocket")
 """Photographs with things in them: for posters, signs and what stands behind a window."""
 SURFACES = ("brick", "grass", "gravel", "tissue", "moon", "coffee", "china", "motorcycle")
@@ -57,10 +45,7 @@ def photograph(name: str) -> Image:
     """
     package, file = _FILES[name]
     try:
-        with (
-            resources.files(package).joinpath(file).open("rb") as stream,
-            PillowImage.open(stream) as picture,
-        ):
+        with resources.files(package).joinpath(file).open("rb") as stream, PillowImage.open(stream) as picture:
             image = np.array(picture.convert("RGB"))
     except (OSError, ModuleNotFoundError) as error:
         raise ImageError(f"photograph {file!r} of package {package!r} cannot be read: {error}") from error
@@ -93,25 +78,11 @@ def noise(rng: np.random.Generator, height: int, width: int, grain: Grain) -> Fl
 
 
 def crop(
-    rng: np.random.Generator,
-    height: int,
-    width: int,
-    names: Sequence[str],
-    *,
-    part: tuple[float, float] = (0.3, 1.0),
+    rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, part: tuple[float, float] = (0.3, 1.0)
 ) -> Image:
-    """Return a random part of a random photograph at the wanted size, shape (height, width, 3).
+    """Return a random part of one of the photographs `names` at the wanted size, shape (height, width, 3).
 
-    Parameters
-    ----------
-    rng : Generator
-        Decides.
-    height, width : int
-        Size of the result, pixels.
-    names : sequence of str
-        Photographs to choose from.
-    part : tuple of float
-        Smallest and largest side of the crop as a part of the largest crop of that shape.
+    `part` is the smallest and largest side of the crop as a part of the largest crop of that shape.
     """
     image = photograph(names[int(rng.integers(len(names)))])
     rows, columns = image.shape[:2]
@@ -123,6 +94,25 @@ def crop(
         window = window[:, ::-1]
     how = cv2.INTER_AREA if h > height else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(np.ascontiguousarray(window), (width, height), interpolation=how), dtype=np.uint8)
+
+
+def letters(rng: np.random.Generator, count: int) -> str:
+    """Return random capital letters and blanks."""
+    return "".join(chr(c) if c < 91 else " " for c in rng.integers(65, 95, size=count).tolist())
+
+
+def print_line(
+    image: Image,
+    text: str,
+    at: tuple[int, int],
+    size: float,
+    ink: tuple[int, ...],
+    thickness: int,
+    *,
+    font: int = cv2.FONT_HERSHEY_DUPLEX,
+) -> None:
+    """Write a line of text into an image, its lower left corner `at` (x, y)."""
+    cv2.putText(image, text, at, font, size, ink, thickness, cv2.LINE_AA)
 
 
 def surface(rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, zoom: float) -> Float32Array:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from epiprior_lab.scenes.materials import Colour, jittered, ornament
-from epiprior_lab.scenes.textures import PICTURES, crop, noise
+from epiprior_lab.scenes.textures import PICTURES, crop, noise, print_line
 from epiprior_lab.scenes.world import Image
 
 Lintel = Literal["none", "band", "keystone", "pediment", "arch", "carved"]
@@ -20,24 +20,10 @@ _SOLID = 255
 
 @dataclass(frozen=True, kw_only=True)
 class WindowStyle:
-    """What all windows of a house have in common.
+    """What all windows of a house have in common: size of the opening and of the frame in metres, panes, colours.
 
-    Parameters
-    ----------
-    width_m, height_m : float
-        Size of the opening, metres.
-    columns, rows : int
-        Panes.
-    frame_colour, trim_colour, shutter_colour : tuple of float
-        RGB of the frame, of the stone around the opening, and of the shutters.
-    frame_m : float
-        Thickness of the frame, metres.
-    lintel : str
-        One of `LINTELS`.
-    shutters : bool
-        Whether there are open shutters on both sides.
-    variety : float
-        How much one window differs from the next, in [0, 1].
+    `trim_colour` is that of the stone around the opening; `variety` tells how much one window differs from the next,
+    in [0, 1].
     """
 
     width_m: float
@@ -56,12 +42,8 @@ class WindowStyle:
 def window_style(rng: np.random.Generator, wall_colour: Colour, *, variety: float) -> WindowStyle:
     """Draw a window."""
     frames = ((235, 232, 225), (96, 66, 44), (60, 66, 72), (222, 214, 196), (46, 72, 60))
-    trims = (
-        tuple(min(245.0, 1.22 * c) for c in wall_colour),
-        (206, 198, 180),
-        (150, 140, 128),
-        (232, 228, 220),
-    )
+    light = tuple(min(245.0, 1.22 * c) for c in wall_colour)
+    trims = (light, (206, 198, 180), (150, 140, 128), (232, 228, 220))
     shutters = ((70, 92, 72), (110, 60, 48), (72, 84, 110), (130, 118, 98))
     trim = trims[int(rng.integers(len(trims)))]
     return WindowStyle(
@@ -119,9 +101,8 @@ def _draw_curtains(rng: np.random.Generator, area: Image, style: WindowStyle) ->
     if kind.startswith("sides"):
         part = int(width * rng.uniform(0.12, 0.3))
         for columns in (slice(0, part), slice(width - part - int(rng.integers(0, 4)), width)):
-            area[:, columns, :3] = cv2.addWeighted(
-                area[:, columns, :3], 0.3, np.repeat(cloth[:, columns], height, 0), 0.7, 0
-            )
+            sheet = np.repeat(cloth[:, columns], height, 0)
+            area[:, columns, :3] = cv2.addWeighted(area[:, columns, :3], 0.3, sheet, 0.7, 0)
     if kind == "full":
         area[..., :3] = cv2.addWeighted(area[..., :3], 0.35, np.repeat(cloth, height, 0), 0.65, 0)
     if kind.endswith("blind"):
@@ -151,16 +132,11 @@ def draw_trim(
         cv2.rectangle(wall, (left - band // 3, top - band // 3), (right + band // 3, bottom + band // 3), edge, 1)
     middle, high = (left + right) // 2, top - band
     if style.lintel == "keystone":
-        key = np.array(
-            [
-                (middle - band, high - band),
-                (middle + band, high - band),
-                (middle + band // 2, top),
-                (middle - band // 2, top),
-            ]
-        )
-        cv2.fillPoly(wall, [key.astype(np.int32)], colour, cv2.LINE_AA)
-        cv2.polylines(wall, [key.astype(np.int32)], True, edge, 1, cv2.LINE_AA)
+        half = band // 2
+        corners = (middle - band, high - band), (middle + band, high - band), (middle + half, top), (middle - half, top)
+        key = np.array(corners, dtype=np.int32)
+        cv2.fillPoly(wall, [key], colour, cv2.LINE_AA)
+        cv2.polylines(wall, [key], True, edge, 1, cv2.LINE_AA)
     elif style.lintel == "pediment":
         gable = np.array([(left - 2 * band, high), (middle, high - 3 * band), (right + 2 * band, high)], dtype=np.int32)
         cv2.fillPoly(wall, [gable], colour, cv2.LINE_AA)
@@ -174,12 +150,8 @@ def draw_trim(
     if style.shutters:
         _draw_shutters(rng, wall, opening, style)
     if rng.random() < 0.3 + 0.5 * style.variety:
-        _draw_streaks(
-            rng,
-            wall,
-            (left, min(bottom + band, wall.shape[0] - 1), right),
-            length=int(rng.uniform(0.3, 1.2) * texels_per_m),
-        )
+        sill = left, min(bottom + band, wall.shape[0] - 1), right
+        _draw_streaks(rng, wall, sill, length=int(rng.uniform(0.3, 1.2) * texels_per_m))
 
 
 def carved_lintel(rng: np.random.Generator, style: WindowStyle, *, texels_per_m: float) -> Image | None:
@@ -192,12 +164,8 @@ def carved_lintel(rng: np.random.Generator, style: WindowStyle, *, texels_per_m:
 def paste(canvas: Image, patch: Image, left: int, top: int) -> None:
     """Copy a patch (H, W, 3) onto a canvas, cut at its rim."""
     height, width = canvas.shape[:2]
-    x0, y0, x1, y1 = (
-        max(left, 0),
-        max(top, 0),
-        min(left + patch.shape[1], width),
-        min(top + patch.shape[0], height),
-    )
+    x0, x1 = max(left, 0), min(left + patch.shape[1], width)
+    y0, y1 = max(top, 0), min(top + patch.shape[0], height)
     if x0 < x1 and y0 < y1:
         canvas[y0:y1, x0:x1, :3] = patch[y0 - top : y1 - top, x0 - left : x1 - left]
 
@@ -244,16 +212,7 @@ def door(rng: np.random.Generator, height: int, width: int) -> Image:
     image[..., 3] = GLASS + 60
     sign = max(6, height // 6)
     image[:sign] = (*jittered(rng, (150, 60, 50), 0.5), _SOLID)
-    letters = "".join(chr(int(c)) for c in rng.integers(65, 91, size=max(3, width // sign)))
-    cv2.putText(
-        image,
-        letters,
-        (3, int(0.8 * sign)),
-        cv2.FONT_HERSHEY_DUPLEX,
-        sign / 34,
-        (240, 236, 220, _SOLID),
-        max(1, sign // 12),
-        cv2.LINE_AA,
-    )
+    name = "".join(chr(int(c)) for c in rng.integers(65, 91, size=max(3, width // sign)))
+    print_line(image, name, (3, int(0.8 * sign)), sign / 34, (240, 236, 220, _SOLID), max(1, sign // 12))
     cv2.rectangle(image, (0, 0), (width - 1, height - 1), (60, 56, 52, _SOLID), max(2, width // 40))
     return image

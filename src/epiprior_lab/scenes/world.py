@@ -33,11 +33,9 @@ class World:
         A corner of each face and its two edges from there.
     texture_frame : ndarray, shape (N, 3, 2), float64
         Texture coordinates (fractions of width and height) of the corner, and their change along both edges.
-    texture : ndarray, shape (N,), int64
-        Texture of each face.
-    triangle, cut_out, views : ndarray, shape (N,), int64
-        1 where the face is a triangle; 1 where transparent texels are holes; bit set of the views that show
-        it.
+    texture, triangle, cut_out, views : ndarray, shape (N,), int64
+        Number of the texture; 1 where the face is a triangle; 1 where transparent texels are holes; bit set of the
+        views that show it.
     brightness, mirror : ndarray, shape (N,), float64
         Factor on top of the light; how much of the surroundings a glass texel reflects.
     levels : ndarray, shape (T, MAX_LEVELS, 3), int64
@@ -65,13 +63,7 @@ class World:
 
 
 class WorldBuilder:
-    """Collects faces and textures.
-
-    Parameters
-    ----------
-    surroundings : ndarray, shape (H, W, 3), uint8
-        See `World`.
-    """
+    """Collects faces and textures; `surroundings` as in `World`."""
 
     def __init__(self, *, surroundings: Image) -> None:
         self._surroundings = surroundings
@@ -98,26 +90,11 @@ class WorldBuilder:
         views: int = BOTH_VIEWS,
         brightness: float = 1.0,
     ) -> None:
-        """Add a parallelogram or a triangle.
+        """Add a parallelogram, or of a triangle the half beside the corner; see `World`.
 
-        Parameters
-        ----------
-        corner, across, down : vectors of 3
-            Top-left corner as seen from the front, and the edges to the right and downwards from there.
-        texture : int
-            Number of the texture.
-        area : tuple of float
-            Part of the texture (left, top, right, bottom), fractions; beyond [0, 1] it repeats.
-        texture_frame : ndarray, shape (3, 2), optional
-            In place of `area`: texture coordinates of the corner, and their change along both edges.
-        triangle : bool
-            Keep only the half beside the corner.
-        mirror : float
-            How much a glass texel reflects, in [0, 1].
-        views : int
-            In which views it exists: `BOTH_VIEWS`, `FIRST_VIEW` or `SECOND_VIEW`.
-        brightness : float
-            Factor on top of the light.
+        `corner` is the top left one as seen from the front; the edges go to the right and downwards from there. `area`
+        is the part of the texture (left, top, right, bottom), fractions; beyond [0, 1] it repeats. `texture_frame`,
+        (3, 2), may take its place.
         """
         a, b = np.asarray(across, dtype=np.float64), np.asarray(down, dtype=np.float64)
         left, top, right, bottom = area
@@ -130,8 +107,9 @@ class WorldBuilder:
     def build(self) -> World:
         """Return the world; textures are packed with their halved copies, so that far faces do not alias."""
         corner, across, down, frames = (np.array(column) for column in zip(*self._faces, strict=True))
-        texture, triangle, cut_out, views = np.array([flags[:4] for flags in self._flags], dtype=np.int64).T
-        brightness, mirror = np.array([flags[4:] for flags in self._flags], dtype=np.float64).T
+        flags = list(zip(*self._flags, strict=True))
+        texture, triangle, cut_out, views = (np.array(column, dtype=np.int64) for column in flags[:4])
+        brightness, mirror = (np.array(column, dtype=np.float64) for column in flags[4:])
         levels = np.zeros((len(self._textures), MAX_LEVELS, 3), dtype=np.int64)
         texels: list[Image] = []
         used = 0
@@ -147,12 +125,12 @@ class WorldBuilder:
             across=across,
             down=down,
             texture_frame=frames,
-            texture=np.ascontiguousarray(texture),
-            triangle=np.ascontiguousarray(triangle),
-            cut_out=np.ascontiguousarray(cut_out),
-            views=np.ascontiguousarray(views),
-            brightness=np.ascontiguousarray(brightness),
-            mirror=np.ascontiguousarray(mirror),
+            texture=texture,
+            triangle=triangle,
+            cut_out=cut_out,
+            views=views,
+            brightness=brightness,
+            mirror=mirror,
             levels=levels,
             texels=np.concatenate(texels),
             surroundings=self._surroundings,
@@ -175,12 +153,8 @@ def _halvings(image: Image) -> list[Image]:
 class Frame:
     """A place to build at: `a` metres along a wall, `b` up from its foot, `c` out of it towards the viewer.
 
-    Parameters
-    ----------
-    foot : ndarray, shape (3,)
-        World position of a = b = c = 0: the left foot of the wall as seen from the front.
-    right, outward : ndarray, shape (3,)
-        Unit vectors, horizontal and perpendicular.
+    `foot` is the world position of a = b = c = 0: the left foot of the wall as seen from the front; `right` and
+    `outward` are unit vectors, horizontal and perpendicular.
     """
 
     foot: FloatArray
@@ -201,6 +175,10 @@ class Frame:
     def side(self, a: float, c: float = 0.0) -> Frame:
         """Return the frame of the wall that goes back from (a, 0, c): the right side of a house."""
         return Frame(self.point(a, 0.0, c), -self.outward, self.right)
+
+    def left_side(self, c: float, a: float = 0.0) -> Frame:
+        """Return the frame of the wall that comes forward from (a, 0, c): the left side of a house."""
+        return Frame(self.point(a, 0.0, c), self.outward, -self.right)
 
 
 def upright(
@@ -237,9 +215,8 @@ def box(
     back = Frame(frame.point(a[1], 0.0, c[0]), -frame.right, -frame.outward)
     upright(world, back, (0.0, a[1] - a[0]), b, 0.0, texture=front, area=area, views=views)
     depth = c[1] - c[0]
-    upright(world, frame.side(a[1], c[1]), (0.0, depth), b, 0.0, texture=sides, area=area, views=views)
-    left = Frame(frame.point(a[0], 0.0, c[0]), frame.outward, -frame.right)
-    upright(world, left, (0.0, depth), b, 0.0, texture=sides, area=area, views=views)
+    for side in (frame.side(a[1], c[1]), frame.left_side(c[0], a[0])):
+        upright(world, side, (0.0, depth), b, 0.0, texture=sides, area=area, views=views)
     across, inward = frame.right * (a[1] - a[0]), frame.outward * depth
     world.face(frame.point(a[0], b[1], c[0]), across, inward, top, area=area, views=views)
     world.face(frame.point(a[0], b[0], c[1]), across, -inward, top, area=area, views=views, brightness=0.7)

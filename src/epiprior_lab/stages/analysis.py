@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 from epiprior.estimators.handover import load_hand_overs
+from epiprior_lab.analysis.analyse import analyse_pairs
 from epiprior_lab.analysis.bench import AnalysisSettings
-from epiprior_lab.analysis.steps import analyse_pairs
 from epiprior_lab.compute.tasks import default_workers, single_threaded
-from epiprior_lab.evaluation.estimates import study_pairs
-from epiprior_lab.features.matching import PRESETS, model_files
-from epiprior_lab.labels.ground_truth import LabelSettings
-from epiprior_lab.params import load_params
-from epiprior_lab.report.analysis_page import write_analysis
-from epiprior_lab.report.analysis_tables import Analysis
-from epiprior_lab.report.table1 import FamilyResults
+from epiprior_lab.evaluation.inputs import PRESETS, model_files
+from epiprior_lab.evaluation.records import Tables
+from epiprior_lab.evaluation.truth import truth_settings
+from epiprior_lab.pairsets import read_pair_set
+from epiprior_lab.params import load_study
+from epiprior_lab.report.analysis import write_analysis
 
 DATA = Path("data/analysis")
 OUT = Path("reports/analysis")
@@ -23,45 +21,43 @@ OUT = Path("reports/analysis")
 
 def main() -> None:
     """Write ``data/analysis/*.csv`` and everything in ``reports/analysis``."""
-    params = load_params()
-    bounds, own = params.report.bounds, params.analysis
-    truth = asdict(params.ground_truth)
-    settings = AnalysisSettings(
-        estimator=own.estimators[0],
-        others=own.estimators[1:],
-        beyond=bounds.champion,
-        seeds=params.evaluate.seeds,
-        two_keypoint_counts=own.two_keypoint_counts,
-        refined_hypotheses=own.refined_hypotheses,
-        success_px=params.report.success_px,
-    )
-    hand_overs = load_hand_overs(Path("models/hand_over.json"))
+    params = load_study()
+    report, own, evaluate = params.report, params.analysis, params.evaluate
+    pairs = {
+        group: read_pair_set(evaluate.pairs_of(group), evaluate.control_points_of(group)).pairs
+        for group in evaluate.groups
+    }
     analysis = analyse_pairs(
-        {
-            family: study_pairs("test", family)[: own.pairs_per_family]
-            for family in (*bounds.hard_families, *bounds.easy_families)
-        },
-        complete=bounds.hard_families,
-        settings=settings,
-        hand_overs=hand_overs,
-        labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
+        {group: pairs[group][: own.pairs_per_group] for group in (*report.hard_groups, *report.easy_groups)},
+        complete=report.hard_groups,
+        settings=AnalysisSettings(
+            estimator=own.estimators[0],
+            others=own.estimators[1:],
+            beyond=report.champion,
+            seeds=evaluate.seeds,
+            two_keypoint_counts=own.two_keypoint_counts,
+            refined_hypotheses=own.refined_hypotheses,
+            success_px=report.success_px,
+        ),
+        hand_overs=load_hand_overs(Path("models/hand_over.json")),
+        labels=truth_settings(params.truth).labels,
         files=model_files(Path("models"), PRESETS),
         workers=default_workers(),
         store=Path("data/.tasks/analysis"),
     )
     analysis.write(DATA)
-    families = params.scenes.families
     with single_threaded():
         write_analysis(
-            Analysis.read(DATA),
-            {family: FamilyResults.read(Path("data/evaluation") / family) for family in families},
-            {family: study_pairs("test", family) for family in families},
+            analysis,
+            Tables.read([Path(evaluate.out) / group for group in evaluate.groups]),
+            pairs,
             OUT,
-            thresholds_px=(params.report.success_px, params.report.strict_px),
+            estimator=own.estimators[0],
+            thresholds_px=(report.success_px, report.strict_px),
             quantiles=own.table_quantiles,
             refined=own.refined_hypotheses,
-            draws=params.report.bootstrap_draws,
-            seed=params.report.seed,
+            draws=report.bootstrap_draws,
+            seed=report.seed,
         )
 
 

@@ -6,67 +6,64 @@ from pathlib import Path
 
 import pandas as pd
 
-from epiprior.estimators.handover import load_hand_overs
 from epiprior.verification.cascade import save_cascade_rule
 from epiprior_lab.compute.tasks import default_workers
-from epiprior_lab.evaluation.estimates import study_pairs
-from epiprior_lab.features.matching import WITHOUT, model_files
-from epiprior_lab.params import Params, load_params
-from epiprior_lab.report.cascade_figure import cascade_figure
-from epiprior_lab.report.cascade_tables import cascade_markdown, cascade_table
-from epiprior_lab.report.study import COLUMNS, read_table
-from epiprior_lab.report.tables import write_table
-from epiprior_lab.selection.cascade_rule import PREPROCESSED, learn_rule, paired_runs, validation_rows
+from epiprior_lab.evaluation.inputs import PREPROCESSED, WITHOUT, model_files, store_matches
+from epiprior_lab.evaluation.protocol import MODELS, make_protocol, validation_pairs
+from epiprior_lab.evaluation.records import RunRecord, Tables, to_frame
+from epiprior_lab.evaluation.runs import run_pairs
+from epiprior_lab.params import StudyParams, load_study
+from epiprior_lab.report.cascade import cascade_figure, learnt_page
+from epiprior_lab.selection.cascade_rule import learn_rule, paired_runs
 
 OUT = Path("reports")
+STORE = Path("data/.tasks/validation")  # where the stage `hand_over` left the matches
 
 
-def validation_runs(params: Params) -> pd.DataFrame:
-    """Return the runs on validation scenes; matches are in the store of the stage `hand_over`."""
-    hand_overs = load_hand_overs(Path("models/hand_over.json"))
+def validation_runs(params: StudyParams) -> pd.DataFrame:
+    """Return the runs on validation scenes, without and with the preprocessing step."""
+    protocol, workers = make_protocol(params), default_workers()
     inputs = {
         estimator: tuple(name for name in names if name in (*WITHOUT, PREPROCESSED))
-        for estimator, names in params.evaluate.inputs_by_estimator.items()
+        for estimator, names in protocol.inputs.items()
     }
-    pairs = {family: study_pairs("validation", family) for family in params.scenes.families}
-    family_of = {pair.pair_id: family for family, members in pairs.items() for pair in members}
-    rows = validation_rows(
-        [pair for members in pairs.values() for pair in members],
-        inputs=inputs,
-        matched=params.evaluate.all_inputs,
-        seeds=params.cascade.seeds,
-        hand_overs=hand_overs,
-        files=model_files(Path("models"), params.evaluate.all_inputs),
-        workers=default_workers(),
-        store=Path("data/.tasks/validation"),
-    )
-    return paired_runs(pd.DataFrame([{"family": family_of[row["pair_id"]], **row} for row in rows]))
-
-
-def evaluated_runs(params: Params) -> pd.DataFrame:
-    """Return the runs of the evaluation on test pairs."""
-    tables = (
-        read_table(Path("data/evaluation") / family / "results.csv", f"{COLUMNS['results']} spread plausibility")
-        for family in params.scenes.families
-    )
-    return paired_runs(pd.concat(tables, ignore_index=True))
+    records = []
+    for group, pairs in validation_pairs(params.scenes.families).items():
+        matched = store_matches(
+            pairs,
+            protocol.all_inputs,
+            STORE / "matches",
+            files=model_files(MODELS, protocol.all_inputs),
+            workers=workers,
+            description=f"match {group}",
+        )
+        records += run_pairs(
+            pairs,
+            matched,
+            group=group,
+            inputs=inputs,
+            seeds=params.cascade.seeds,
+            hand_overs=protocol.hand_overs,
+            truth=protocol.truth,
+            measures=protocol.measures,
+            workers=workers,
+            store=STORE,
+        )
+    return to_frame(RunRecord, records)
 
 
 def main() -> None:
-    """Write ``models/cascade.json`` and ``reports/cascade.{csv,md,png}``."""
-    params = load_params()
-    thresholds = (params.report.success_px, params.report.strict_px)
-    validation = validation_runs(params)
-    learnt = learn_rule(validation, params.cascade, success_px=thresholds[0], strict_px=thresholds[1])
-    save_cascade_rule(Path("models/cascade.json"), learnt.rule)
-    runs = {"validation": validation, "test": evaluated_runs(params)}
-    table = cascade_table(
-        runs, learnt.rule, thresholds_px=thresholds, draws=params.report.bootstrap_draws, seed=params.report.seed
-    )
-    write_table(table, OUT / "cascade.csv")
-    text = cascade_markdown(table, learnt, params.cascade, thresholds)
-    (OUT / "cascade.md").write_text(text, encoding="utf-8", newline="\n")
-    cascade_figure(runs, learnt.rule, params.cascade, params.report.success_px, OUT / "cascade.png")
+    """Write ``models/cascade.json`` and ``reports/cascade.{md,png}``."""
+    params = load_study()
+    own, report = params.evaluate, params.report
+    validation = paired_runs(validation_runs(params))
+    learnt = learn_rule(validation, params.cascade, success_px=report.success_px, strict_px=report.strict_px)
+    save_cascade_rule(MODELS / "cascade.json", learnt.rule)
+    test = paired_runs(Tables.read([Path(own.out) / group for group in own.groups]).runs)
+    runs = {"validation": validation, "test": test}
+    cascade_figure(runs, learnt.rule, params.cascade, report.success_px, OUT / "cascade.png")
+    page = learnt_page(learnt, params.cascade, report.success_px, report.strict_px, "cascade.png")
+    page.write(OUT, markdown="cascade.md", html="")
 
 
 if __name__ == "__main__":

@@ -1,38 +1,38 @@
-"""Stage `evaluate`: estimators without and with the preprocessing step on the test pairs of one family."""
+"""Stage `evaluate`: estimators without and with the preprocessing step on the pairs of one group."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+import os
 from pathlib import Path
 
-from epiprior.estimators.handover import load_hand_overs
-from epiprior_lab.compute.tasks import default_workers
-from epiprior_lab.evaluation.estimates import evaluate_pairs, study_pairs
-from epiprior_lab.features.matching import model_files
-from epiprior_lab.labels.ground_truth import LabelSettings
-from epiprior_lab.params import load_params
+from epiprior_lab.compute.tasks import SCHEDULER_VARIABLE, default_workers
+from epiprior_lab.evaluation.evaluate import evaluate
+from epiprior_lab.evaluation.inputs import model_files
+from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
+from epiprior_lab.params import STUDY, load_params
 
 
 def main() -> None:
-    """Write ``data/evaluation/<family>/*.csv``."""
+    """Write ``<evaluate.out>/<group>/*.csv``."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--family", required=True)
-    family = parser.parse_args().family
-    params = load_params()
-    truth = asdict(params.ground_truth)
-    evaluation = evaluate_pairs(
-        study_pairs("test", family),
-        family=family,
-        inputs=params.evaluate.inputs_by_estimator,
-        seeds=params.evaluate.seeds,
-        hand_overs=load_hand_overs(Path("models/hand_over.json")),
-        labels=LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__}),
-        files=model_files(Path("models"), params.evaluate.all_inputs),
+    parser.add_argument("--params", type=Path, default=STUDY)
+    parser.add_argument("--group", required=True)
+    parser.add_argument("--scheduler", help="dask scheduler that gets the pairs, such as tcp://host:8786")
+    arguments = parser.parse_args()
+    if arguments.scheduler:
+        os.environ[SCHEDULER_VARIABLE] = arguments.scheduler
+    params, group = load_params(arguments.params), str(arguments.group)
+    own, protocol = params.evaluate, make_protocol(params)
+    tables = evaluate(
+        pairs_of(own, group),
+        protocol,
+        group=group,
         workers=default_workers(),
-        store=Path("data/.tasks/evaluate") / family,
+        store=Path("data/.tasks") / Path(own.out).name / group,
+        files=model_files(MODELS, protocol.all_inputs),
     )
-    evaluation.write(Path("data/evaluation") / family)
+    tables.write(Path(own.out) / group)
 
 
 if __name__ == "__main__":

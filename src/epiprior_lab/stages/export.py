@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from epiprior_lab.export.onnx_files import export_model
-from epiprior_lab.params import load_params
+from epiprior_lab.export.model_folder import export_model
+from epiprior_lab.params import load_study
 
 
 def main() -> None:
     """Write ``models/<preset>/`` for every preset."""
-    for preset in load_params().features.presets:
+    for preset in load_study().features.presets:
         export_model(Path("data/training") / preset, Path("models") / preset, preset)
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
 from epiprior_lab.features.rows import extract_rows, rows_to_bytes
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.pairsets import Pair, read_pair_set
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 
 
 def extract(pair: Pair, presets: Sequence[str], labels: LabelSettings) -> dict[str, list[bytes]]:
@@ -20,19 +19,14 @@ def extract(pair: Pair, presets: Sequence[str], labels: LabelSettings) -> dict[s
 
 
 def main() -> None:
-    """Write ``data/features/<preset>/<pair_id>-<hypothesis>.npz`` for every preset and training pair."""
-    params = load_params()
-    presets = params.features.presets
-    truth = asdict(params.ground_truth)
-    labels = LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__})
+    """Write ``data/features/<preset>/<pair_id>-<roll hypothesis>.npz`` for every preset and training pair."""
+    params = load_study()
+    shared = {"presets": params.features.presets, "labels": LabelSettings.of(params.truth)}
     pairs = [pair for folder in params.features.pair_sets for pair in read_pair_set(Path(folder)).pairs]
-    tasks = [
-        Task(name=pair.pair_id, payload={"pair": pair, "presets": presets, "labels": labels}, files=pair.files)
-        for pair in pairs
-    ]
+    tasks = [Task(name=pair.pair_id, payload={"pair": pair, **shared}, files=pair.files) for pair in pairs]
     store = Path("data/.tasks/features")
     found = map_tasks(extract, tasks, workers=default_workers(), description="features", store=store)
-    for preset in presets:
+    for preset in params.features.presets:
         out = Path("data/features") / preset
         out.mkdir(parents=True, exist_ok=True)
         for pair, tables in zip(pairs, found, strict=True):

@@ -17,7 +17,7 @@ from epiprior_lab.pairsets import (
     write_control_points,
     write_table,
 )
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 
 SUMMARY = ("pair_id", "scene", "angle_deg", "overlap", "scale_ratio", "roll_deg", "control_points")
 
@@ -34,30 +34,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--split", required=True, choices=("train", "validation", "test"))
     split = parser.parse_args().split
-    params = load_params()
+    params = load_study()
     truth = params.ground_truth
     for family in params.scenes.families:
         pairs = read_pair_set(Path("data/scenes") / split / family).pairs
-        tasks = [
-            Task(
-                name=pair.pair_id,
-                payload={
-                    "pair": pair,
-                    "count": truth.control_points,
-                    "seed": child_seed(truth.seed, "control points", pair.pair_id),
-                },
-                files=pair.files,
-            )
-            for pair in pairs
-        ]
-        store = Path("data/.tasks/ground_truth") / split
-        found = map_tasks(
-            measure,
-            tasks,
-            workers=default_workers(),
-            description=f"ground truth, {split}, {family}",
-            store=store,
-        )
+        tasks = []
+        for pair in pairs:
+            seed = child_seed(truth.seed, "control points", pair.pair_id)
+            payload = {"pair": pair, "count": truth.control_points, "seed": seed}
+            tasks.append(Task(name=pair.pair_id, payload=payload, files=pair.files))
+        title, store = f"ground truth, {split}, {family}", Path("data/.tasks/ground_truth") / split
+        found = map_tasks(measure, tasks, workers=default_workers(), description=title, store=store)
         out = Path("data/ground_truth") / split / family
         rows = []
         for pair, (x1, x2, seen) in zip(pairs, found, strict=True):

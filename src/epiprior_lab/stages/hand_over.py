@@ -6,28 +6,27 @@ from pathlib import Path
 
 from epiprior.estimators.handover import save_hand_overs
 from epiprior_lab.compute.tasks import default_workers
-from epiprior_lab.evaluation.estimates import study_pairs, write_rows
-from epiprior_lab.features.matching import model_files
-from epiprior_lab.params import load_params
-from epiprior_lab.selection.hand_over_search import chosen_hand_overs, search_hand_overs
+from epiprior_lab.evaluation.inputs import model_files
+from epiprior_lab.evaluation.protocol import MODELS, validation_pairs
+from epiprior_lab.evaluation.records import write_frame
+from epiprior_lab.params import load_study
+from epiprior_lab.selection.hand_over_search import chosen_hand_overs, search_hand_overs, trial_table
 
 
 def main() -> None:
     """Write ``models/hand_over.json`` and ``data/hand_over/search.csv``."""
-    params = load_params()
-    pairs = [pair for family in params.scenes.families for pair in study_pairs("validation", family)]
+    params = load_study()
     best, trials = search_hand_overs(
-        pairs,
+        [pair for pairs in validation_pairs(params.scenes.families).values() for pair in pairs],
         inputs=params.evaluate.inputs_by_estimator,
         params=params.hand_over,
-        files=model_files(Path("models"), params.evaluate.all_inputs),
+        files=model_files(MODELS, params.evaluate.all_inputs),
         workers=default_workers(),
         store=Path("data/.tasks/validation"),
     )
-    Path("models").mkdir(exist_ok=True)
-    save_hand_overs(Path("models/hand_over.json"), chosen_hand_overs(best))
-    rows = [trial.row(trial is best[trial.estimator, trial.input]) for trial in trials]
-    write_rows(rows, Path("data/hand_over/search.csv"))
+    MODELS.mkdir(exist_ok=True)
+    save_hand_overs(MODELS / "hand_over.json", chosen_hand_overs(best))
+    write_frame(trial_table(best, trials), Path("data/hand_over/search.csv"))
 
 
 if __name__ == "__main__":

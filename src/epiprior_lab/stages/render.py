@@ -7,7 +7,6 @@ drawn anew. Training takes every scene.
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,7 +15,7 @@ from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import PairFiles, encode_depth, read_pair_set, write_pair_set
-from epiprior_lab.params import load_params
+from epiprior_lab.params import load_study
 from epiprior_lab.scenes import SceneError, render_pair
 from epiprior_lab.scenes.photography import encode_jpeg
 
@@ -53,11 +52,11 @@ def render(*, pair_id: str, family: str, seed: int, width: int, height: int, jpe
     """Return one pair with its files encoded."""
     pair = render_pair(family, seed, width=width, height=height)
     seen = pair.difference
+    views = f"angle={seen.angle_deg:.1f}deg;overlap={seen.overlap:.2f};scale={seen.scale_ratio:.2f}"
     return PairFiles(
         pair_id=pair_id,
         scene=pair_id,
-        difficulty=f"angle={seen.angle_deg:.1f}deg;overlap={seen.overlap:.2f};scale={seen.scale_ratio:.2f};"
-        f"roll={seen.roll_deg:.0f}deg",
+        difficulty=f"{views};roll={seen.roll_deg:.0f}deg",
         camera1=pair.camera1,
         camera2=pair.camera2,
         jpeg1=encode_jpeg(pair.image1, jpeg_quality),
@@ -72,9 +71,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--split", required=True, choices=("train", "validation", "test"))
     split = parser.parse_args().split
-    params = load_params()
-    scenes, truth = params.scenes, asdict(params.ground_truth)
-    labels = LabelSettings(**{name: truth[name] for name in LabelSettings.__dataclass_fields__})
+    params = load_study()
+    scenes = params.scenes
+    common = {
+        "least_right": 0 if split == "train" else LEAST_RIGHT,
+        "labels": LabelSettings.of(params.truth),
+        "width": scenes.image_width,
+        "height": scenes.image_height,
+        "jpeg_quality": scenes.jpeg_quality,
+    }
     names = {
         family: [f"{family}-{split}-{number:04d}" for number in range(getattr(scenes.pairs, split)[family])]
         for family in scenes.families
@@ -82,16 +87,7 @@ def main() -> None:
     tasks = [
         Task(
             name=name,
-            payload={
-                "pair_id": name,
-                "family": family,
-                "seed": child_seed(scenes.seed, "render", name),
-                "least_right": 0 if split == "train" else LEAST_RIGHT,
-                "labels": labels,
-                "width": scenes.image_width,
-                "height": scenes.image_height,
-                "jpeg_quality": scenes.jpeg_quality,
-            },
+            payload={"pair_id": name, "family": family, "seed": child_seed(scenes.seed, "render", name), **common},
         )
         for family, members in names.items()
         for name in members

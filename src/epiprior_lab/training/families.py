@@ -1,8 +1,6 @@
 """The families of classifiers that are compared: decision tree, random forest, SVM, LightGBM.
 
-A family is a name and how to fit; what comes out is a `Fitted`. Rows are float32 ``(N, C)``, labels bool
-``(N,)``. Every family trains in one thread on at most so many rows, sampled by class in proportion, so that
-base rates stay.
+A family is a name and a function that fits a `Fitted` to rows, float32 (N, C), and labels, bool (N,), in one thread.
 """
 
 from __future__ import annotations
@@ -44,14 +42,14 @@ class TrainingError(EpipriorError, ValueError):
 
 
 class Fitted(Protocol):
-    """A fitted classifier."""
+    """A fitted classifier; `onnx_graphs.to_onnx` exports it."""
 
     @property
     def width(self) -> int:
         """Number of columns it takes."""
 
     def probability(self, rows: Float32Array) -> FloatArray:
-        """Return the probability of the right class, shape (N,), in [0, 1]."""
+        """Return the probability of the right class, shape (N,), float64, in [0, 1]; N = 0 is allowed."""
 
     def importances(self) -> FloatArray | None:
         """Return the share of each column in the decisions, shape (C,), sum 1; None if unknown."""
@@ -69,7 +67,7 @@ class Trees:
         return int(self.estimator.n_features_in_)
 
     def probability(self, rows: Float32Array) -> FloatArray:
-        """Return the probability of the right class, shape (N,)."""
+        """Return the probability of the right class."""
         if not len(rows):
             return np.empty(0)
         return np.asarray(self.estimator.predict_proba(rows)[:, 1], np.float64)
@@ -91,7 +89,7 @@ class Boosted:
         return int(self.booster.num_feature())
 
     def probability(self, rows: Float32Array) -> FloatArray:
-        """Return the probability of the right class, shape (N,)."""
+        """Return the probability of the right class."""
         if not len(rows):
             return np.empty(0)
         return np.asarray(self.booster.predict(rows, num_threads=1), np.float64)
@@ -104,20 +102,18 @@ class Boosted:
 
 @dataclass(frozen=True)
 class SupportVectors:
-    """An SVM with Gaussian kernel on standardised columns, and a sigmoid of its decision value.
+    """An SVM with Gaussian kernel on standardised columns, and Platt's sigmoid of its decision value.
 
     Parameters
     ----------
     mean, scale : ndarray, shape (C,), float64
-        Standardisation: ``(x - mean) / scale``.
-    vectors : ndarray, shape (S, C), float64
-        Support vectors, standardised.
-    weights : ndarray, shape (S,), float64
-        Their weights.
+        Standardisation: ``x = (row - mean) / scale``.
+    vectors, weights : ndarray, shape (S, C) and (S,), float64
+        Standardised support vectors ``v_s`` and their weights.
     intercept, gamma : float
         Of the decision value ``sum_s weights_s exp(-gamma |x - v_s|^2) + intercept``.
     a, b : float
-        Platt's sigmoid, fitted on rows that the SVM was not trained on.
+        The sigmoid, fitted on rows that the SVM was not trained on.
     """
 
     mean: FloatArray
@@ -146,7 +142,7 @@ class SupportVectors:
         return result
 
     def probability(self, rows: Float32Array) -> FloatArray:
-        """Return the probability of the right class, shape (N,)."""
+        """Return the probability of the right class."""
         return np.asarray(expit(self.a * self.decision(rows) + self.b), np.float64)
 
     def importances(self) -> FloatArray | None:
@@ -160,8 +156,6 @@ Fit = Callable[[Float32Array, BoolArray, int], Fitted]
 def fit_tree(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
     """Fit the paper's classifier (section 4.4), a decision tree like C4.5.
 
-    Notes
-    -----
     Like C4.5 it splits by information and smooths its leaves after Laplace, ``(n1 + 1) / (n + 2)``. Unlike
     C4.5, which prunes by a pessimistic estimate of the error, it prunes by cost and complexity.
     """
@@ -197,10 +191,8 @@ def fit_lightgbm(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
 def fit_svm(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
     """Fit an SVM with Gaussian kernel on three quarters of the rows, and Platt's sigmoid on the rest.
 
-    Notes
-    -----
-    Training takes time cubic in the rows, hence the low cap on them (``max_svm_rows``). The sigmoid is our
-    own: ``SVC(probability=True)`` is going to be removed from scikit-learn, and refits the SVM five times.
+    Training takes time cubic in the rows, hence their low cap (``max_svm_rows``). ``SVC(probability=True)`` is not
+    used: scikit-learn deprecates it, and it refits the SVM five times.
     """
     held = np.zeros(len(rows), bool)
     held[sample_by_class(labels, max(2, len(rows) // 4), seed)] = True
@@ -234,23 +226,18 @@ def fit(family: str, rows: Float32Array, labels: BoolArray, *, seed: int, max_ro
     rows : ndarray, shape (N, C), float32
         Finite.
     labels : ndarray, shape (N,), bool
-        Which rows are right; both classes must be there.
+        Which rows are right; both classes must be present.
     seed : int
         Of the sample and of the family's own draws.
     max_rows : int, optional
         Train on so many rows at most, sampled by `sample_by_class`.
-
-    Returns
-    -------
-    Fitted
-        The classifier.
 
     Raises
     ------
     SettingsError
         If the family is unknown.
     TrainingError
-        If the rows cannot be trained on; the message says why.
+        If the rows cannot be trained on.
     """
     if family not in FAMILIES:
         raise SettingsError(f"family {family!r}: expected one of {', '.join(FAMILIES)}")
@@ -282,10 +269,9 @@ def sample_by_class(labels: BoolArray, size: int, seed: int) -> IntArray:
 
 
 def _float32_thresholds(booster: lightgbm.Booster) -> lightgbm.Booster:
-    """Round every threshold down to float32.
+    """Round every threshold down to float32, which ONNX then keeps exactly.
 
     LightGBM compares in double; for a float32 value x, ``x <= t`` and ``x <= float32 below t`` are the same.
-    ONNX keeps thresholds in float32, to the nearest: rounded here, they are kept exactly.
     """
 
     def rounded(match: re.Match[str]) -> str:

@@ -14,22 +14,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 from joblib.externals.loky import process_executor
-from rich.console import Console
 
 from epiprior.errors import SettingsError
 from epiprior_lab.compute.executors import open_pool
 from epiprior_lab.compute.tasks import Task, TaskError, map_tasks
-from epiprior_lab.evaluation import folders as real
 from pictures import relief_pair, save
 
 WORK = """
 import os, time
-import cv2, numba, threadpoolctl
+import cv2, numba, numpy, threadpoolctl
 
 def threads(seconds):
     time.sleep(seconds)
     pools = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
     return [os.getpid(), cv2.getNumThreads(), numba.get_num_threads(), max(pools, default=1)]
+
+def describe(path):
+    time.sleep(0.05)
+    _, descriptors = cv2.SIFT_create().detectAndCompute(cv2.imread(path, cv2.IMREAD_GRAYSCALE), None)
+    return numpy.linalg.svd(descriptors, compute_uv=False)
 
 def fill(array):
     array[:] = 7
@@ -41,7 +44,8 @@ def fail_after(seconds, value):
         raise ValueError(f"{value} is odd")
     return os.getcwd()
 """
-PAIRS = 20
+TASKS = 20
+pytestmark = pytest.mark.slow
 
 
 class Cluster:
@@ -113,35 +117,19 @@ def no_client_left():
     assert "IO loop" not in {thread.name for thread in threading.enumerate()}
 
 
-@pytest.fixture(scope="module")
-def datasets(tmp_path_factory):
-    """Return a folder with a set of small pairs whose rows correspond."""
-    root = tmp_path_factory.mktemp("datasets") / "relief"
-    (root / "images").mkdir(parents=True)
-    (root / "control_points").mkdir()
-    lines = ["pair_id,image1,image2,gt,scene,difficulty"]
-    for k in range(PAIRS):
-        for side, image in zip("ab", relief_pair(160, 120, seed=k), strict=True):
-            save(root / "images" / f"{k}{side}.png", image)
-        points = np.random.default_rng(k).uniform(20, 100, (30, 4))
-        points[:, 3] = points[:, 1]
-        np.savetxt(root / "control_points" / f"p{k}.csv", points, delimiter=",", header="x1,y1,x2,y2", comments="")
-        lines.append(f"p{k},images/{k}a.png,images/{k}b.png,control_points,s{k},")
-    (root / "pairs.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return root.parent
-
-
-def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(cluster, datasets, tmp_path):
+def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(cluster, work, tmp_path):
     cluster.ensure(workers=2)
+    paths = [tmp_path / f"{k}.png" for k in range(TASKS)]
+    for k, path in enumerate(paths):
+        save(path, relief_pair(160, 120, seed=k)[0])
+    tasks = [Task(name=path.name, payload={"path": str(path)}, files=(path,)) for path in paths]
 
     def run(name, **where):
-        out, store = tmp_path / f"{name}.csv", tmp_path / name
-        with open(os.devnull, "w") as sink:  # noqa: PTH123
-            real.run_real(datasets, seeds=1, out=out, store=store, console=Console(file=sink), **where)
-        return out.read_bytes(), {path.name: path.read_bytes() for path in store.rglob("*.result")}
+        map_tasks(work.describe, tasks, workers=1, description=name, store=tmp_path / name, **where)
+        return {path.name: path.read_bytes() for path in (tmp_path / name).glob("*.result")}
 
-    alone = run("alone", workers=1)
-    assert len(alone[1]) == PAIRS
+    alone = run("alone")
+    assert len(alone) == TASKS
     at_kill, ended = [], []
 
     def kill_one():
@@ -152,13 +140,13 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(cluster, datasets, t
     killer = threading.Thread(target=kill_one)
     killer.start()
     try:
-        spread = run("cluster", workers=1, scheduler=cluster.address)
+        on_cluster = run("cluster", scheduler=cluster.address)
     finally:
         ended.append(True)
         killer.join()
-    assert at_kill[0] < PAIRS
+    assert at_kill[0] < TASKS
     assert cluster.workers[0].wait(timeout=10) != 0
-    assert spread == alone
+    assert on_cluster == alone
 
 
 def test_tasks_of_a_cluster_have_one_thread_each_and_their_own_arrays(cluster, work, monkeypatch):

@@ -377,7 +377,7 @@ def test_bad_calls_are_named(work, tmp_path):
         call(Task(name="a"), workers=0)
     with pytest.raises(SettingsError, match="repeated task name 'a'"):
         call(Task(name="a"), Task(name="a"))
-    with pytest.raises(SettingsError, match="payload of task 'a': object has no stable key"):
+    with pytest.raises(SettingsError, match="task 'a': payload: object has no stable key"):
         call(Task(name="a", payload={"value": object()}))
     with pytest.raises(TaskError, match=r"task 'a': cannot read .*absent\.jpg"):
         call(Task(name="a", files=(tmp_path / "absent.jpg",)))

@@ -316,12 +316,10 @@ PARAMS = HandOverParams(
     max_distance_ratio=(0.7, 0.8, 0.9),
     top_k=(100, 300, 500, None),
     weighted=WeightedParams(estimators=("epiprior",), top_k=(300, 2000)),
-    min_probability=(None, 0.2),
     threshold_px=(1.0, 1.5, 2.0),
     one_to_one=(True, False),
     refine=(True, False),
     collect=(True, False),
-    spread=(None, 0.1),
 )
 SEARCHED = {"usac": ("standard", "default"), "prosac": ("standard", "default"), "epiprior": ("generalized", "default")}
 

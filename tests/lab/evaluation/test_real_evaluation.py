@@ -8,14 +8,6 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-
-import epiprior.rank
-from epiprior.errors import SettingsError
-from epiprior.estimators.handover import HandOver
-from epiprior.features.detect import detect_features, load_photograph
-from epiprior.ranking.models import load_model
-from epiprior.verification.cascade import CascadeRule
-from epiprior_lab.compute.source_graph import source_files
 from epiprior_lab.evaluation.photographs import (
     estimation,
     estimator_code,
@@ -25,11 +17,20 @@ from epiprior_lab.evaluation.photographs import (
     timing,
     truth,
 )
-from epiprior_lab.evaluation.photographs.params import load_real_params
 from epiprior_lab.evaluation.photographs.peers import read_peer_matches
 from epiprior_lab.evaluation.photographs.sets import link_sets
-from epiprior_lab.pairsets import DatasetError, read_pair_set
 from epiprior_lab.report.photographs.gallery import Case, draw_cases
+
+import epiprior.rank
+from epiprior.errors import SettingsError
+from epiprior.estimators.handover import HandOver
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
+from epiprior.ranking.models import load_model
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.compute.source_graph import source_files
+from epiprior_lab.pairsets import DatasetError, read_pair_set
+from epiprior_lab.params import load_params
 from pictures import relief_pair, save
 from tiny_model import make_model
 
@@ -44,7 +45,7 @@ SEEDS = (0, 1)
 
 @pytest.fixture(scope="module")
 def params():
-    return load_real_params(ROOT / "benchmarks" / "real" / "params.yaml")
+    return load_params(ROOT / "benchmarks" / "real" / "params.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -302,14 +303,14 @@ def test_links_to_sets(root, tmp_path):
 
 
 def test_parameters_are_strict(params, tmp_path):
-    with pytest.raises(SettingsError, match=r"apart: 'moon' is not among"):
-        replace(params, apart=("moon",))
-    with pytest.raises(SettingsError, match=r"whole: 'adalam'"):
-        replace(params, whole=("adalam",))
-    with pytest.raises(SettingsError, match="hard_share"):
+    with pytest.raises(ValueError, match=r"apart: 'moon' is not among"):
+        replace(params.evaluate, apart=("moon",))
+    with pytest.raises(ValueError, match=r"whole: 'paper'"):
+        replace(params.evaluate, whole=("paper",))
+    with pytest.raises(ValueError, match="hard_share"):
         replace(params.truth, hard_share=0.9)
     text = (ROOT / "benchmarks" / "real" / "params.yaml").read_text()
     (tmp_path / "params.yaml").write_text(text.replace("plane_px:", "plain_px:"))
     with pytest.raises(SettingsError, match=r"unknown key truth\.plain_px"):
-        load_real_params(tmp_path / "params.yaml")
-    assert replace(params, peers=("gms",)).inputs["usac"] == ("standard", "snn", "default", "gms")
+        load_params(tmp_path / "params.yaml")
+    assert replace(params.evaluate, peers=("gms",)).inputs_and_peers["usac"] == ("standard", "snn", "default", "gms")

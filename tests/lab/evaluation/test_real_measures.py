@@ -9,9 +9,9 @@ from epiprior.geometry import normalise_fundamental
 from epiprior.types import FundamentalEstimate, Status
 from epiprior_lab.evaluation.photographs.estimation import measured
 from epiprior_lab.evaluation.photographs.measures import points_on_lines, pose_errors, symmetric_distance
-from epiprior_lab.evaluation.photographs.params import MeasureParams
 from epiprior_lab.evaluation.photographs.truth import Truth, on_one_plane, split_of
 from epiprior_lab.pairsets import Camera, Pair, fundamental_from_cameras
+from epiprior_lab.params import MeasureParams
 from synthetic import HEIGHT, WIDTH, K, rotation
 
 SIZES = ((WIDTH, HEIGHT), (WIDTH, HEIGHT))

@@ -260,6 +260,7 @@ def test_views_without_overlap_have_no_angle(depths):
 PARAMS = (stage.Path(__file__).parents[3] / "params.yaml").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_stages_write_pair_sets_with_control_points(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("EPIPRIOR_WORKERS", "1")

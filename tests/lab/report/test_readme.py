@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from epiprior_lab.cli import app
-from epiprior_lab.evaluation.photographs.params import PARAMS
+from epiprior_lab.params import PHOTOGRAPHS as PARAMS
 from epiprior_lab.report import readme
 from epiprior_lab.report.study import ReportError
 

@@ -9,14 +9,14 @@ import pytest
 
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.evaluation.photographs import timing
-from epiprior_lab.evaluation.photographs.params import load_real_params
+from epiprior_lab.params import load_params
 from epiprior_lab.report import readme
 from epiprior_lab.report.photographs import bounds, figures, findings, gallery, report, results, tables, wording
 from epiprior_lab.report.study import ReportError
 from synthetic_photographs import APART, INPUTS, PAIRS, SEEDS, SETS, write_photographs
 
 ROOT = Path(__file__).parents[3]
-PARAMS = load_real_params(ROOT / "benchmarks" / "real" / "params.yaml")
+PARAMS = load_params(ROOT / "benchmarks" / "real" / "params.yaml")
 RULE = CascadeRule(min_spread=60, min_plausibility=0.95)
 
 

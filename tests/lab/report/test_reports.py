@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.evaluation import overhead
 from epiprior_lab.evaluation.statistics import Interval, paired_bootstrap
-from epiprior_lab.params import BoundParams, CascadeParams, ReportParams
+from epiprior_lab.params import CascadeParams, ReportParams
 from epiprior_lab.report import (
     bounds,
     cascade_tables,
@@ -29,10 +29,23 @@ from epiprior_lab.selection.cascade_rule import LearntRule
 from synthetic_study import ESTIMATORS, FAMILIES, INPUTS, write_study
 
 ROOT = Path(__file__).parents[3]
-BOUNDS = BoundParams(
-    hard_families=("open",), easy_families=("rolled",), contribution={"usac": 0.6}, easy_loss=0.01, champion="epiprior"
+BOUNDS = bounds.BoundParams(
+    hard_families=("open",), easy_families=("rolled",), contribution={"usac": 0.6}, easy_loss=0.01
 )
-PARAMS = ReportParams(seed=1, success_px=10.0, strict_px=3.0, bootstrap_draws=200, contact_sheet_pairs=2, bounds=BOUNDS)
+PARAMS = ReportParams(
+    seed=1,
+    success_px=10.0,
+    strict_px=3.0,
+    thresholds_px=(10.0, 3.0),
+    pose_deg=(5.0,),
+    distance_recall=0.05,
+    bootstrap_draws=200,
+    champion="epiprior",
+    hard_groups=("open",),
+    easy_groups=("rolled",),
+    contact_sheet_pairs=2,
+    gallery=None,
+)
 
 
 def read(root: Path) -> study.Study:
@@ -470,9 +483,7 @@ def made_up_cascade(spread):
         for threshold, losses in ((10.0, (0.2, 1.0)), (3.0, (4.0, 2.0)))
         for estimator, lost in zip(("usac", "prosac"), (factor * x for x in losses), strict=True)
     ]
-    params = CascadeParams(
-        seeds=(0,), tolerance=0.01, strict_tolerance=0.04, min_spread=(0, 20), min_plausibility=(0.5, 0.9)
-    )
+    params = CascadeParams(seeds=(0,), tolerance=0.01, strict_tolerance=0.04, min_plausibility=(0.5, 0.9))
     learnt = LearntRule(rule=rule, outcomes=outcomes)
     return cascade_tables.cascade_markdown(pd.DataFrame(rows), learnt, params, (10.0, 3.0))
 

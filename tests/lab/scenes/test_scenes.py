@@ -22,10 +22,8 @@ from epiprior_lab.pairsets import (
 )
 from epiprior_lab.scenes import FAMILIES, SceneError, pairs, render_pair, textures
 from epiprior_lab.scenes.camera_pairs import look_at
-from epiprior_lab.scenes.light import Light
 from epiprior_lab.scenes.photography import encode_jpeg
-from epiprior_lab.scenes.render import render_depth, render_image
-from epiprior_lab.scenes.shadows import cast_shadows
+from epiprior_lab.scenes.render import Light, cast_shadows, render_depth, render_image
 from epiprior_lab.scenes.world import (
     BOTH_VIEWS,
     FIRST_VIEW,
@@ -189,6 +187,7 @@ def test_the_sun_casts_shadows():
 # --- pairs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_control_points_lie_on_the_epipolar_lines_of_the_cameras(family_pairs, family):
     pair = family_pairs[family]
@@ -198,6 +197,7 @@ def test_control_points_lie_on_the_epipolar_lines_of_the_cameras(family_pairs, f
     assert errors_px(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_pairs_keep_the_bounds_of_their_family(family_pairs, family):
     settings, pair = FAMILIES[family], family_pairs[family]
@@ -209,6 +209,7 @@ def test_pairs_keep_the_bounds_of_their_family(family_pairs, family):
     assert (roll > 10) if family == "rolled" else (roll < 35)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_images_have_the_detail_of_photographs(family):
     pair = render_pair(family, 5, width=512, height=384)
@@ -218,6 +219,7 @@ def test_images_have_the_detail_of_photographs(family):
         assert len(cv2.SIFT_create().detect(grey)) > 250
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_bytes_and_others_do_not():
     first, again, other = (render_pair("facades-hard", seed, **SMALL) for seed in (7, 7, 8))
     for name in ("image1", "image2", "depth1", "depth2"):
@@ -226,6 +228,7 @@ def test_equal_seeds_give_equal_bytes_and_others_do_not():
     assert first.image1.tobytes() != first.image2.tobytes()
 
 
+@pytest.mark.slow
 def test_bytes_do_not_depend_on_the_number_of_workers():
     payload = {"family": "rolled", "width": 128, "height": 96, "jpeg_quality": 92}
     tasks = [Task(name=f"p{k}", payload={"pair_id": f"p{k}", "seed": k, **payload}) for k in range(3)]
@@ -235,6 +238,7 @@ def test_bytes_do_not_depend_on_the_number_of_workers():
         np.testing.assert_array_equal(a.camera2.t, b.camera2.t)
 
 
+@pytest.mark.slow
 def test_a_pair_with_too_few_right_matches_is_drawn_anew(monkeypatch):
     found = iter([14, 3, 15, 99])
     monkeypatch.setattr("epiprior_lab.stages.render.right_among_putative", lambda pair, labels: next(found))
@@ -251,6 +255,7 @@ def test_a_pair_with_too_few_right_matches_is_drawn_anew(monkeypatch):
         render_solvable(pair_id="p", seed=5, least_right=15, labels=labels, **size)
 
 
+@pytest.mark.slow
 def test_right_matches_are_counted_by_depth(tmp_path):
     size = {"family": "facades-easy", "width": 512, "height": 384, "jpeg_quality": 92}
     write_pair_set(tmp_path, [render(pair_id="p", seed=3, **size)])
@@ -264,6 +269,7 @@ def test_right_matches_are_counted_by_depth(tmp_path):
     assert right_among_putative(read_pair_set(tmp_path).pairs[0], LabelSettings()) < 0.1 * count
 
 
+@pytest.mark.slow
 def test_scenes_without_two_views_are_an_error_that_names_the_seed(monkeypatch):
     monkeypatch.setattr(pairs, "_WORLDS", 1)
     impossible = dataclasses.replace(FAMILIES["open"], overlap=(0.999, 1.0), angle_deg=(80, 90))

@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from epiprior.errors import SettingsError
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
 from epiprior_lab.report.cascade_figure import cascade_figure
@@ -31,7 +30,6 @@ PARAMS = CascadeParams(
     seeds=(0,),
     tolerance=0.01,
     strict_tolerance=0.01,
-    min_spread=(0, 50, 100, 200),
     min_plausibility=(0.0, 0.25, 0.5, 0.75),
 )
 AT = {"success_px": 10.0, "strict_px": 3.0}
@@ -203,14 +201,13 @@ def test_the_trade_off_falls_from_one_end_to_the_other():
     [
         {"tolerance": 1.5},
         {"strict_tolerance": -0.1},
-        {"min_spread": (-1,)},
         {"min_plausibility": (0.5, 0.5)},
         {"min_plausibility": (1.5,)},
         {"seeds": ()},
     ],
 )
 def test_bad_parameters_are_named(bad):
-    with pytest.raises(SettingsError, match=next(iter(bad))):
+    with pytest.raises(ValueError, match=next(iter(bad))):
         replace(PARAMS, **bad)
 
 

@@ -1,0 +1,236 @@
+"""Which part of the method contributes what, and what limits its results (paper, "Analysis", and beyond).
+
+On some pairs of every group, with several seeds, three experiments:
+
+``steps``
+    The paper's figure: standard input, ranking by 2keypoints, the best single rough F, sfm alone, all measures as
+    printed (`paper`), and beyond it the preset `default`, and `default` with another estimator (`beyond`).
+``ablation``
+    The preset `default` with one part replaced. Its model was trained with all parts in place; so each variant is also
+    ranked by sfm alone, which uses no model.
+``oracle``
+    Runs that know the truth, see `epiprior_lab.analysis.oracles`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from epiprior.matching.baselines import standard_set
+from epiprior.presets import find_preset
+from epiprior.ranking.hypothesis import Candidates, cast_votes
+from epiprior.ranking.models import load_model
+from epiprior.types import FloatArray, MatchSet
+from epiprior_lab.analysis import oracles
+from epiprior_lab.analysis.bench import AnalysisSettings, Bench, HandOvers
+from epiprior_lab.analysis.records import Analysis, LimitRecord, VariantRecord
+from epiprior_lab.analysis.variants import Proposals, oriented_votes, propose, ranked_sets, reordered, supports
+from epiprior_lab.compute.tasks import Task, map_tasks
+from epiprior_lab.evaluation.records import Record
+from epiprior_lab.features.detection import detect_pair
+from epiprior_lab.labels.ground_truth import LabelSettings, label_matches
+from epiprior_lab.pairsets import Pair
+
+_BOTH = ("final", "sfm")  # by the model's probabilities; without a model
+
+
+def analyse_pair(
+    *,
+    pair: Pair,
+    group: str,
+    complete: bool,
+    settings: AnalysisSettings,
+    hand_overs: HandOvers,
+    labels: LabelSettings,
+) -> list[Record]:
+    """Compare the variants on one pair.
+
+    Parameters
+    ----------
+    pair : Pair
+        Pair with control points, and cameras or depths by which matches are labelled.
+    group : str
+        Leads every record.
+    complete : bool
+        False, for easy pairs, on which nearly everything succeeds: only the steps and X alone, the latter with all
+        estimators.
+    settings, hand_overs
+        As for `Bench`.
+    labels : LabelSettings
+        When a match is right.
+    """
+    found = detect_pair(pair)
+    paper, default = (
+        propose(found.photographs, found.features, find_preset(name), load_model(name)) for name in ("paper", "default")
+    )
+    whole = ranked_sets(default)
+    pixel = float(np.sqrt(found.pixel_factors[0] * found.pixel_factors[1]))
+    right = [label_matches(pair, m.x1, m.x2, m.scale1, m.scale2, settings=labels) for m in whole]
+    bench = Bench(
+        group=group,
+        pair=pair,
+        points=pair.control_points(),
+        factors=found.pixel_factors,
+        settings=settings,
+        hand_overs=hand_overs,
+        whole=tuple(oracles.Labelled(matches=m, right=r, pixel=pixel) for m, r in zip(whole, right, strict=True)),
+    )
+    estimators = (settings.estimator, *(settings.others if complete else ()), settings.beyond)
+    ours = {name: list(bench.estimated("oracle", "default", "final", whole, name, "default")) for name in estimators}
+    records: list[Record] = [*_steps(bench, paper, () if complete else settings.others)]
+    for variant, name in (("default", settings.estimator), ("beyond", settings.beyond)):
+        records += [replace(record, experiment="steps", variant=variant) for record in ours[name]]
+    for variant, ranking, sets in _ablations(default, whole, settings.two_keypoint_counts if complete else ()):
+        ordered = [reordered(each, ranking) for each in sets]
+        records.append(bench.precision(variant, ranking, ordered[0]))
+        records += bench.estimated("ablation", variant, ranking, ordered, settings.estimator, "default")
+    if complete:
+        records += _oracles(bench, default, ours)
+    return records
+
+
+def _steps(bench: Bench, paper: Proposals, others: Sequence[str]) -> Iterator[VariantRecord]:
+    """Yield the records of the paper's figure; `others` run on sfm alone and on all measures only."""
+    main = bench.settings.estimator
+    sets = ranked_sets(paper)
+    by_sfm = [reordered(each, "sfm") for each in sets]
+    standard = standard_set(paper.prepared, paper.settings)
+    yield from bench.estimated("steps", "standard", "lowe", [standard], main, "standard")
+    by_two = [reordered(each, "2keypoint") for each in sets]
+    yield from bench.estimated("steps", "2keypoint", "2keypoint", by_two, main, "paper")
+    F, supporters = _largest_support(paper, sets)
+    refined = None if F is None else oracles.refine_on_all(F, supporters, bench.whole[0].pixel)
+    yield from bench.known("steps", "single F", "none", F)
+    yield from bench.known("steps", "single F, refined", "none", refined)
+    for estimator in (main, *others):
+        yield from bench.estimated("steps", "sfm", "sfm", by_sfm, estimator, "paper")
+        yield from bench.estimated("steps", "paper", "final", sets, estimator, "paper")
+
+
+def _largest_support(proposals: Proposals, sets: Sequence[MatchSet]) -> tuple[FloatArray | None, MatchSet]:
+    """Return the rough F that most of X support, over all roll hypotheses, and the set of its roll hypothesis."""
+    best, chosen, most = None, sets[0], -1
+    for found, matches in zip(proposals.candidates, sets, strict=True):
+        # X and the limit are in working pixels, the matrices of the set in given ones.
+        D1, D2 = (np.linalg.inv(to_working) for to_working in proposals.prepared.to_working)
+        F = D2.T @ matches.rough_matrices @ D1
+        counts = supports(F, found.frames.x1, found.frames.x2, proposals.settings.vote_threshold)
+        if len(counts) and counts.max() > most:
+            most = int(counts.max())
+            best, chosen = matches.rough_matrices[counts.argmax()], matches
+    return best, chosen
+
+
+def _ablations(
+    proposals: Proposals, whole: tuple[MatchSet, ...], counts: Sequence[int]
+) -> Iterator[tuple[str, str, tuple[MatchSet, ...]]]:
+    """Yield variant, ranking and sets of the preset `default`; without `counts` only X alone beside it."""
+    settings = proposals.settings
+    voters = {
+        "frames of SIFT": (replace(settings, frame="feature"), cast_votes),
+        "oriented matches": (settings, oriented_votes),
+        **{f"K_2kp {count}": (replace(settings, two_keypoint_count=count), cast_votes) for count in counts},
+    }
+    yield from (("default", ranking, whole) for ranking in _BOTH)
+    # By sfm alone, only matches of X are ranked anyway.
+    yield "X alone", "final", ranked_sets(proposals, standard=False)
+    for variant, (changed, voter) in voters.items() if counts else ():
+        sets = ranked_sets(proposals, changed, voter)
+        yield from ((variant, ranking, sets) for ranking in _BOTH)
+
+
+def _oracles(bench: Bench, proposals: Proposals, ours: Mapping[str, list[VariantRecord]]) -> Iterator[Record]:
+    """Yield the runs that know the truth, beside `ours`, which do not, and what the pair allows."""
+    for records in ours.values():
+        yield from records
+    # The hand-over of the probabilities: what changes is their values.
+    told = [oracles.labels_first(each) for each in bench.whole]
+    for estimator in ours:
+        yield from bench.estimated("oracle", "true labels", "final", told, estimator, "default")
+    rough, refined, fits, refits = [], [], [], []
+    for each in bench.whole:
+        hypotheses, _ = oracles.best_hypotheses(each, bench.points, bench.settings.refined_hypotheses)
+        rough += list(hypotheses[:1])
+        refined += [oracles.refine_on_all(F, each.matches, each.pixel) for F in hypotheses]
+        fit = oracles.fit_right(each)
+        if fit is not None:
+            fits.append(fit)
+            refits.append(oracles.refine_on_all(fit, each.matches, each.pixel))
+    for variant, matrices in (
+        ("right matches", fits),
+        ("right matches, refined on all", refits),
+        ("best rough F", rough),
+        ("best rough F, refined on all", refined),
+    ):
+        yield from bench.known("oracle", variant, "final", min(matrices, key=bench.error_px, default=None))
+    errors = [oracles.mean_errors_px(each.matches.rough_matrices, *bench.points) for each in bench.whole]
+    among_x = [_in_x(proposals, found, each) for found, each in zip(proposals.candidates, bench.whole, strict=True)]
+    yield LimitRecord(
+        **bench.key,
+        matches=max(len(each.matches) for each in bench.whole),
+        right_one_to_one=max(len(each.right_one_to_one) for each in bench.whole),
+        right_one_to_one_in_x=max(len(each.right_one_to_one) for each in among_x),
+        rough_matrices=sum(map(len, errors)),
+        good_rough_matrices=sum(int(np.count_nonzero(e < bench.settings.success_px)) for e in errors),
+    )
+
+
+def _in_x(proposals: Proposals, candidates: Candidates, labelled: oracles.Labelled) -> oracles.Labelled:
+    """Return the matches of X, without those that only X_L or X_B proposed."""
+    X, matches = candidates.X, labelled.matches
+    # X counts locations, a set the first feature of each.
+    x1, x2 = (
+        place.first[rows] for place, rows in zip(proposals.prepared.locations, (X.feature1, X.feature2), strict=True)
+    )
+    width = 1 + int(max(x2.max(initial=0), matches.feature2.max(initial=0)))
+    inside = np.isin(matches.feature1 * width + matches.feature2, x1 * width + x2)
+    return replace(labelled, matches=matches.take(inside), right=labelled.right[inside])
+
+
+def analyse_pairs(
+    groups: Mapping[str, Sequence[Pair]],
+    *,
+    complete: Collection[str],
+    settings: AnalysisSettings,
+    hand_overs: HandOvers,
+    labels: LabelSettings,
+    files: Sequence[Path] = (),
+    workers: int = 1,
+    store: Path | None = None,
+) -> Analysis:
+    """Analyse the pairs of all groups in parallel; a run that was killed continues.
+
+    Parameters
+    ----------
+    groups : mapping of str to sequence of Pair
+        Pairs of each group.
+    complete : collection of str
+        The groups that are analysed completely.
+    settings, hand_overs, labels
+        As for `analyse_pair`.
+    files : sequence of Path
+        What determines every result beside the pair's own images: the model files.
+    workers, store
+        As for `epiprior_lab.compute.tasks.map_tasks`.
+    """
+    names = (settings.estimator, settings.beyond, *settings.others)
+    common = {
+        "settings": settings,
+        "hand_overs": {name: dict(hand_overs[name]) for name in names},
+        "labels": labels,
+    }
+    tasks = [
+        Task(
+            name=f"{group} {pair.pair_id}",
+            payload={"pair": pair, "group": group, "complete": group in complete, **common},
+            files=(*pair.files, *files),
+        )
+        for group, pairs in groups.items()
+        for pair in pairs
+    ]
+    found = map_tasks(analyse_pair, tasks, workers=workers, description="analyse", store=store)
+    return Analysis.from_records(record for records in found for record in records)

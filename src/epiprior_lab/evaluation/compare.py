@@ -1,0 +1,112 @@
+"""Success rates per pair, and paired comparisons of them: contributions, duels, margins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from epiprior.types import BoolArray, FloatArray
+from epiprior_lab.evaluation.records import DIFFICULTIES, Tables
+from epiprior_lab.evaluation.statistics import Comparison, paired_bootstrap
+
+ALL = "all"
+POSE = "pose_deg"  # the larger of both angles
+
+
+class Rates:
+    """A measure of every run by estimator and input, as arrays in the order of the pairs.
+
+    Parameters
+    ----------
+    tables : Tables
+        `pairs` gives the order; a pair without a run counts as a failure.
+    measure : str
+        A column of `runs`, or `POSE`.
+
+    Attributes
+    ----------
+    pairs : DataFrame
+        Of `tables`.
+    scenes : list of str
+        Scene of each pair, unique across groups.
+    """
+
+    def __init__(self, tables: Tables, measure: str = "error_px") -> None:
+        self.pairs = tables.pairs
+        self.scenes = [f"{g}/{s}" for g, s in zip(self.pairs["group"], self.pairs["scene"], strict=True)]
+        runs = tables.runs
+        values = (
+            runs[["rotation_deg", "translation_deg"]].max(axis=1, skipna=False) if measure == POSE else runs[measure]
+        )
+        table = runs[["group", "pair_id", "estimator", "input", "seed"]].assign(value=values.fillna(np.inf))
+        self._parts = dict(iter(table.groupby(["estimator", "input"], sort=False)))
+        self._index = pd.MultiIndex.from_frame(self.pairs[["group", "pair_id"]])
+        self._known: dict[tuple[str, str], FloatArray] = {}
+
+    @property
+    def estimators(self) -> list[str]:
+        """Estimators in the order of the runs."""
+        return list(dict.fromkeys(estimator for estimator, _ in self._parts))
+
+    def inputs(self, estimator: str) -> list[str]:
+        """Return the inputs of one estimator, in the order of the runs."""
+        return [name for owner, name in self._parts if owner == estimator]
+
+    def values(self, estimator: str, name: str) -> FloatArray:
+        """Return the measure, shape (pairs, seeds); infinite without an F or where the truth does not allow it."""
+        key = (estimator, name)
+        if key not in self._known:
+            part = self._parts[key].set_index(["group", "pair_id", "seed"])["value"]
+            wide = part.unstack("seed").reindex(self._index)
+            self._known[key] = wide.fillna(np.inf).to_numpy(np.float64)
+        return self._known[key]
+
+    def of(self, estimator: str, name: str, threshold: float) -> FloatArray:
+        """Return the share of seeds strictly below the threshold for each pair, shape (pairs,)."""
+        return np.asarray((self.values(estimator, name) < threshold).mean(axis=1))
+
+
+def compare(
+    a: FloatArray,
+    b: FloatArray,
+    *,
+    scenes: Sequence[str],
+    draws: int,
+    seed: int,
+    by: BoolArray | None = None,
+) -> Comparison:
+    """Compare two measures of the same pairs: `a` is ``without``, `b` is ``with_step``.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (N,)
+        One finite value per pair, as from `Rates.of`.
+    scenes : sequence of str, length N
+        Whole scenes are drawn by the bootstrap.
+    draws, seed
+        Of the bootstrap.
+    by : ndarray, shape (N,), bool, optional
+        Which pairs are compared, as from `group_masks`; all by default.
+    """
+    member = np.ones(len(a), np.bool_) if by is None else by
+    own = [scene for scene, is_in in zip(scenes, member, strict=True) if is_in]
+    return paired_bootstrap(a[member], b[member], draws=draws, seed=seed, groups=own)
+
+
+def group_masks(pairs: pd.DataFrame, *, apart: Sequence[str] = ()) -> dict[str, BoolArray]:
+    """Return which pairs belong to each part: difficulties that occur, `ALL`, then every group.
+
+    Parameters
+    ----------
+    pairs : DataFrame
+        Of `Tables`.
+    apart : sequence of str
+        Groups that are part of no total and no difficulty.
+    """
+    own, difficulty = pairs["group"].to_numpy(str), pairs["difficulty"].to_numpy(str)
+    counted = np.asarray(~np.isin(own, list(apart)))
+    masks = {name: counted & (difficulty == name) for name in DIFFICULTIES}
+    masks = {name: member for name, member in masks.items() if member.any()} | {ALL: counted}
+    return masks | {str(name): own == name for name in pairs["group"].unique()}

@@ -1,0 +1,141 @@
+"""Let rankers of others match the pairs, on our RootSIFT features, in an environment of their own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from epiprior.errors import EpipriorError, SettingsError
+from epiprior.features.describe import normalise_descriptors
+from epiprior.features.detect import FeatureSettings, detect_features, unique_locations
+from epiprior.features.images import load_photograph
+from epiprior.types import Features, FloatArray, IntArray
+from epiprior_lab.compute.tasks import Task, map_tasks
+from epiprior_lab.pairsets import Pair
+
+ENVIRONMENT = Path(".venv/peers")
+SCRIPT = Path("benchmarks/real/peers/match.py")
+REQUIREMENTS = Path("benchmarks/real/peers/requirements.txt")
+_PAIRS_PER_TASK = 12  # the start of torch takes as long as a few pairs
+
+Columns = dict[str, FloatArray | IntArray]
+
+
+class PeerError(EpipriorError):
+    """The rankers of others failed; the message ends with what they said."""
+
+
+def match_by_peers(*, pairs: Sequence[Pair], peers: Sequence[str], python: Path, script: Path) -> list[list[Columns]]:
+    """Match some pairs by every peer; for each pair and peer return the arrays of `inputs.read_peer_matches`.
+
+    Parameters
+    ----------
+    pairs : sequence of Pair
+        Their images are read.
+    peers : sequence of str
+        Names that the script knows.
+    python, script : Path
+        Interpreter of the environment, and what it runs.
+
+    Raises
+    ------
+    PeerError
+        If the script fails.
+    """
+    settings = FeatureSettings(root=True, centred=False)
+    features: dict[Path, Features] = {}
+    for path in dict.fromkeys(path for pair in pairs for path in (pair.image1, pair.image2)):
+        features[path] = detect_features(load_photograph(path, settings.max_image_size), settings)
+    names = {path: f"features-{k}" for k, path in enumerate(features)}
+    asked = [(pair.pair_id, names[pair.image1], names[pair.image2], list(peers)) for pair in pairs]
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        for path, found in features.items():
+            np.savez(
+                folder / f"{names[path]}.npz",
+                xy=found.xy,
+                scale=found.scale,
+                orientation_deg=found.orientation_deg,
+                descriptors=normalise_descriptors(found.descriptors, root=True, centred=False),
+                size=np.array(found.image_size),
+            )
+        (folder / "pairs.json").write_text(json.dumps(asked), encoding="utf-8")
+        done = subprocess.run([str(python), str(script), str(folder)], capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise PeerError(f"{script} failed: {done.stderr.strip()[-500:]}")
+        return [
+            [
+                _columns(folder / f"{pair.pair_id}.{peer}.npz", features[pair.image1], features[pair.image2])
+                for peer in peers
+            ]
+            for pair in pairs
+        ]
+
+
+def _columns(path: Path, features1: Features, features2: Features) -> Columns:
+    with np.load(path, allow_pickle=False) as archive:
+        rows1, rows2 = np.asarray(archive["rows"], np.int64).T
+    columns: Columns = {}
+    for number, features, rows in ((1, features1, rows1), (2, features2, rows2)):
+        columns[f"x{number}"] = features.xy[rows]
+        columns[f"scale{number}"] = features.scale[rows]
+        columns[f"orientation{number}_deg"] = features.orientation_deg[rows]
+        columns[f"feature{number}"] = unique_locations(features)[1][rows]
+    return columns
+
+
+def write_peer_matches(
+    pairs: Sequence[Pair],
+    peers: Sequence[str],
+    out: Path,
+    *,
+    environment: Path = ENVIRONMENT,
+    script: Path = SCRIPT,
+    files: Sequence[Path] = (REQUIREMENTS,),
+    workers: int = 1,
+    store: Path | None = None,
+) -> None:
+    """Write the matches of every peer and pair as ``out/PEER/PAIR_ID.npz``; a killed run continues.
+
+    Parameters
+    ----------
+    peers : sequence of str
+        None writes an empty folder.
+    environment, script : Path
+        Where the peers are installed, and what runs there.
+    files : sequence of Path
+        What else decides the matches.
+    workers, store
+        As for `epiprior_lab.compute.tasks.map_tasks`.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such environment.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    if not peers:
+        return
+    python = environment / "bin" / "python"
+    if not python.is_file():
+        raise SettingsError(f"no environment {environment}: run `make peers`, or set `peers: null` to do without them")
+    parts = [tuple(pairs[k : k + _PAIRS_PER_TASK]) for k in range(0, len(pairs), _PAIRS_PER_TASK)]
+    tasks = [
+        Task(
+            name=f"{part[0].pair_id} and {len(part) - 1} more",
+            payload={"pairs": part, "peers": tuple(peers), "python": python, "script": script},
+            files=(*(file for pair in part for file in pair.files), script, *files),
+        )
+        for part in parts
+    ]
+    matched = map_tasks(match_by_peers, tasks, workers=workers, description=f"peers of {out.name}", store=store)
+    for part, found in zip(parts, matched, strict=True):
+        for pair, of_pair in zip(part, found, strict=True):
+            for peer, columns in zip(peers, of_pair, strict=True):
+                (out / peer).mkdir(exist_ok=True)
+                np.savez(out / peer / f"{pair.pair_id}.npz", allow_pickle=False, **columns)

@@ -1,0 +1,82 @@
+"""What is evaluated and how it is measured; the one place where that is read from a parameter file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from epiprior.estimators.handover import HandOver, load_hand_overs
+from epiprior_lab.evaluation.runs import EstimatorInputs, HandOvers, MeasureSettings
+from epiprior_lab.evaluation.truth import TruthSettings, truth_settings
+from epiprior_lab.pairsets import Pair, read_pair_set
+from epiprior_lab.params import EvaluateParams, Params
+
+MODELS = Path("models")
+PEERS = Path("data/peers")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """What is evaluated and how it is measured.
+
+    Parameters
+    ----------
+    inputs : mapping of str to sequence of str
+        For each estimator the inputs that it gets; what is not in `inputs.INPUTS` is a peer's.
+    seeds : tuple of int
+        Repetitions of every estimate.
+    hand_overs : mapping
+        ``hand_overs[estimator][input]``.
+    truth, measures
+        See `TruthSettings`, `MeasureSettings`.
+    peers : Path, optional
+        ``peers/GROUP/PEER/PAIR_ID.npz``, see `inputs`.
+    """
+
+    inputs: EstimatorInputs
+    seeds: tuple[int, ...]
+    hand_overs: HandOvers
+    truth: TruthSettings = field(default_factory=TruthSettings)
+    measures: MeasureSettings = field(default_factory=MeasureSettings)
+    peers: Path | None = None
+
+    @property
+    def all_inputs(self) -> tuple[str, ...]:
+        """All inputs that some estimator gets."""
+        return tuple(dict.fromkeys(name for names in self.inputs.values() for name in names))
+
+
+def make_protocol(params: Params) -> Protocol:
+    """Return the protocol of a parameter file.
+
+    Hand-overs are those that were chosen on validation scenes; inputs in `whole` and those of peers are handed over as
+    they are.
+    """
+    evaluate, chosen = params.evaluate, load_hand_overs(MODELS / "hand_over.json")
+    whole = {*(evaluate.whole or ()), *(evaluate.peers or ())}
+    return Protocol(
+        inputs=evaluate.inputs_and_peers,
+        seeds=evaluate.seeds,
+        hand_overs={
+            estimator: {name: HandOver() if name in whole else chosen[estimator][name] for name in names}
+            for estimator, names in evaluate.inputs_and_peers.items()
+        },
+        truth=truth_settings(params.truth),
+        measures=MeasureSettings(seed=params.measures.seed, distance_points=params.measures.distance_points),
+        peers=PEERS,
+    )
+
+
+def pairs_of(evaluate: EvaluateParams, group: str) -> tuple[Pair, ...]:
+    """Return the pairs of a group, with their control points."""
+    return read_pair_set(evaluate.pairs_of(group), evaluate.control_points_of(group)).pairs
+
+
+def validation_pairs(families: Sequence[str], data: Path = Path("data")) -> dict[str, tuple[Pair, ...]]:
+    """Return the rendered validation pairs by family, with their control points."""
+    points = data / "ground_truth" / "validation"
+    return {
+        family: read_pair_set(data / "scenes" / "validation" / family, points / family / "control_points").pairs
+        for family in families
+    }

@@ -1,0 +1,266 @@
+"""The rows of the evaluation's tables, and the four tables themselves: a field is a column, named nowhere else."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import pandas as pd
+
+from epiprior.errors import EpipriorError
+from epiprior_lab.measures import log_ranks
+
+RANKS = tuple(sorted({*(int(rank) for rank in log_ranks(10_000, per_decade=10)), 10, 100, 500}))
+RANKINGS = ("lowe", "blogs", "2keypoint", "sfm", "final")  # of ranked inputs; others have `final` alone
+DIFFICULTIES = ("easy", "medium", "hard")
+CASCADE = "cascade"  # in the column `input` of timings
+
+
+class TableError(EpipriorError):
+    """A table of results cannot be read or lacks a column; the message names the file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """What leads every row. `group` is a family, a split or a set; pair ids are unique within it."""
+
+    group: str
+    pair_id: str
+    scene: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairRecord(Record):
+    """A pair and its ground truth.
+
+    Parameters
+    ----------
+    features1, features2 : int
+        Numbers of features of both images.
+    labels : str
+        What decides whether a match is right: ``depth``, ``plane`` (a homography), ``epipolar`` (the true F),
+        ``control_points`` (an F fitted to them); empty where nothing does.
+    points : str
+        Where an estimate is measured: at ``control_points``, or at points that the ``cameras`` allow.
+    right_share : float
+        Share of right matches of X_L; NaN without labels.
+    difficulty : str
+        One of `DIFFICULTIES` by `right_share`; empty without labels.
+    true_roll_deg : float
+        Roll between the cameras, in (-180, 180]; NaN without cameras.
+    expected_roll_deg : float
+        Highest peak of the density of the roll over X_L and X_B; NaN without ranked matches.
+    """
+
+    features1: int
+    features2: int
+    labels: str
+    points: str
+    right_share: float
+    difficulty: str
+    true_roll_deg: float
+    expected_roll_deg: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRecord(Record):
+    """One estimator on one input of a pair, under one seed.
+
+    Parameters
+    ----------
+    status, support, matches, spread, plausibility, iterations
+        As in `epiprior.types.FundamentalEstimate`; `matches` are those that support is counted over.
+    error_px, median_error_px : float
+        Mean and median over the control points of the root of the Sampson distance.
+    distance : float
+        Normalised symmetric geometric distance to the true F.
+    rotation_deg, translation_deg : float
+        Errors of the pose under the true calibration.
+
+    Notes
+    -----
+    Errors are those of F whatever its status. They are NaN without F, or where the truth does not allow them.
+    """
+
+    estimator: str
+    input: str
+    seed: int
+    status: str
+    support: int
+    matches: int
+    spread: int
+    plausibility: float
+    iterations: int | None
+    error_px: float
+    median_error_px: float
+    distance: float
+    rotation_deg: float
+    translation_deg: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RankingRecord(Record):
+    """One ranking of one input of a labelled pair: the one-to-one list of its best roll hypothesis.
+
+    Parameters
+    ----------
+    matches, right : int
+        Length of the list, and right matches in it.
+    average_precision : float
+        Of the list.
+    right_at : tuple of int
+        Right matches among the first ``RANKS[i]``: columns ``right_<rank>``.
+    """
+
+    input: str
+    ranking: str
+    matches: int
+    right: int
+    average_precision: float
+    right_at: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationRecord(Record):
+    """One bin of the probabilities of one ranked input: sums over the matches in it."""
+
+    input: str
+    bin: int
+    count: int
+    right: int
+    probability: float
+    squared_error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimingRecord(Record):
+    """Wall time of one run from image files to F.
+
+    Parameters
+    ----------
+    input : str
+        As in `RunRecord`, or `CASCADE`: without preprocessing first, and with it where that is turned down.
+    seconds_features, seconds_matching, seconds_estimator, seconds_total : float
+        Of both images' features; from features to (ranked) matches; from matches to F; all together.
+    preprocessed : bool
+        Whether matches were ranked; for the cascade, whether it came to that.
+    error_px : float
+        As in `RunRecord`.
+    """
+
+    estimator: str
+    input: str
+    seed: int
+    seconds_features: float
+    seconds_matching: float
+    seconds_estimator: float
+    seconds_total: float
+    preprocessed: bool
+    error_px: float
+
+
+_DTYPES: dict[Any, str] = {str: "object", int: "int64", float: "float64", bool: "bool", int | None: "Int64"}
+
+
+def column_types(record: type[Record]) -> dict[str, str]:
+    """Return the columns of a record's table in order, with their pandas types."""
+    hints = get_type_hints(record)
+    columns: dict[str, str] = {}
+    for f in fields(record):
+        hint = hints[f.name]
+        if isinstance(hint, types.GenericAlias):
+            columns |= dict.fromkeys((right_column(rank) for rank in RANKS), "int64")
+        else:
+            columns[f.name] = _DTYPES[hint]
+    return columns
+
+
+def right_column(rank: int) -> str:
+    """Return the name of the column with the right matches among the first `rank`."""
+    return f"right_{rank}"
+
+
+def to_frame(record: type[Record], records: Iterable[Record]) -> pd.DataFrame:
+    """Return records of one type as a table; without records, one without rows."""
+    columns = column_types(record)
+    rows = []
+    for one in records:
+        values = (getattr(one, f.name) for f in fields(one))
+        rows.append([v for value in values for v in (value if isinstance(value, tuple) else (value,))])
+    return pd.DataFrame(rows, columns=list(columns)).astype(columns)
+
+
+def write_frame(table: pd.DataFrame, path: Path) -> None:
+    """Write a CSV file: seven significant digits, empty cells for NaN."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    table.to_csv(path, index=False, float_format="%.7g", lineterminator="\n")
+
+
+def read_frame(record: type[Record], path: Path) -> pd.DataFrame:
+    """Read what `write_frame` wrote; names stay text, whatever they look like.
+
+    Raises
+    ------
+    TableError
+        If it cannot be read as such a table.
+    """
+    columns = column_types(record)
+    numbers = {name: [""] for name, kind in columns.items() if kind in ("float64", "Int64")}
+    try:
+        table = pd.read_csv(path, dtype=columns, na_values=numbers, keep_default_na=False)
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise TableError(f"{path}: cannot be read as a table: {error}") from error
+    missing = [name for name in columns if name not in table.columns]
+    if missing:
+        raise TableError(f"{path}: no column {missing[0]!r}")
+    return table[list(columns)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tables:
+    """The results of an evaluation, one row per record; each field is a CSV file of its name."""
+
+    pairs: pd.DataFrame
+    runs: pd.DataFrame
+    rankings: pd.DataFrame
+    calibration: pd.DataFrame
+
+    @classmethod
+    def from_records(cls, records: Iterable[Record]) -> Tables:
+        """Sort records into their tables; within each they keep their order."""
+        parts: dict[type[Record], list[Record]] = {record: [] for record in RECORDS.values()}
+        for one in records:
+            parts[type(one)].append(one)
+        return cls(**{name: to_frame(record, parts[record]) for name, record in RECORDS.items()})
+
+    @classmethod
+    def join(cls, parts: Sequence[Tables]) -> Tables:
+        """Return the rows of all `parts`, in their order."""
+        return cls(**{name: pd.concat([getattr(p, name) for p in parts], ignore_index=True) for name in RECORDS})
+
+    @classmethod
+    def read(cls, folders: Sequence[Path]) -> Tables:
+        """Read what `write` wrote to each of the folders, one below the other.
+
+        Raises
+        ------
+        TableError
+            If a file is missing or lacks a column; the message names it.
+        """
+        return cls.join([cls(**{n: read_frame(r, f / f"{n}.csv") for n, r in RECORDS.items()}) for f in folders])
+
+    def write(self, folder: Path) -> None:
+        """Write the files to `folder`, made if absent."""
+        for name in RECORDS:
+            write_frame(getattr(self, name), folder / f"{name}.csv")
+
+
+RECORDS: dict[str, type[Record]] = {
+    "pairs": PairRecord,
+    "runs": RunRecord,
+    "rankings": RankingRecord,
+    "calibration": CalibrationRecord,
+}

@@ -1,0 +1,222 @@
+"""Runs of estimators on the inputs of a pair, and how far each is from the truth. The loop over both is here alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from epiprior.estimators import find_estimator
+from epiprior.estimators.handover import HandOver
+from epiprior.estimators.run import estimate_from_matches
+from epiprior.geometry import sampson_distance
+from epiprior.types import FundamentalEstimate
+from epiprior_lab.compute.seeds import child_seed
+from epiprior_lab.compute.tasks import Task, map_tasks
+from epiprior_lab.evaluation.distances import pose_errors, symmetric_distance
+from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches
+from epiprior_lab.evaluation.records import RunRecord
+from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
+from epiprior_lab.labels.ground_truth import errors_px
+from epiprior_lab.pairsets import Pair
+
+EstimatorInputs = Mapping[str, Sequence[str]]
+HandOvers = Mapping[str, Mapping[str, HandOver]]  # by estimator, then by input
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasureSettings:
+    """Random points of the normalised symmetric geometric distance."""
+
+    seed: int = 16
+    distance_points: int = 1000
+
+
+def is_deterministic(estimator: str) -> bool:
+    """Return whether the seed changes nothing: one run then stands for all seeds."""
+    return bool(getattr(find_estimator(estimator), "deterministic", False))
+
+
+def each_run(
+    run: Callable[..., Result],
+    matches: PairMatches,
+    pair_id: str,
+    *,
+    estimator: str,
+    seeds: Sequence[int],
+    hand_overs: Mapping[str, HandOver],
+) -> Iterator[tuple[str, int, Result]]:
+    """Yield input, seed and outcome for all inputs in `matches`, and for each of them all seeds.
+
+    Parameters
+    ----------
+    run : callable
+        `estimate_from_matches`, or what takes the same; of the roll hypotheses the best supported F is kept.
+    matches : PairMatches
+        The inputs that the estimator gets.
+    pair_id : str
+        Each seed becomes a child seed of the pair, the same for every input, so that differences are paired.
+    estimator : str
+        Name in the registry. A deterministic one runs once, and its outcome is repeated.
+    seeds : sequence of int
+        One run each.
+    hand_overs : mapping of str to HandOver
+        Per input.
+    """
+    different = seeds[:1] if is_deterministic(estimator) else seeds
+    for name, sets in matches.sets.items():
+        found = [
+            run(
+                sets,
+                estimator=estimator,
+                seed=child_seed(seed, pair_id),
+                hand_over=hand_overs[name],
+                pixel_factors=matches.pixel_factors,
+            )
+            for seed in different
+        ]
+        for k, seed in enumerate(seeds):
+            yield name, seed, found[min(k, len(found) - 1)]
+
+
+def estimates(
+    matches: PairMatches, pair_id: str, *, estimator: str, seeds: Sequence[int], hand_overs: Mapping[str, HandOver]
+) -> Iterator[tuple[str, int, FundamentalEstimate]]:
+    """Yield input, seed and estimate for all inputs and seeds, as `each_run`."""
+    return each_run(estimate_from_matches, matches, pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs)
+
+
+def error_px(estimate: FundamentalEstimate, truth: Truth) -> float:
+    """Return the paper's error of F, whatever its status: the mean Sampson distance of the points; NaN without F."""
+    return float("nan") if estimate.raw_F is None else float(errors_px(estimate.raw_F, truth.x1, truth.x2).mean())
+
+
+def run_record(
+    estimate: FundamentalEstimate,
+    pair: Pair,
+    truth: Truth,
+    measures: MeasureSettings,
+    *,
+    group: str,
+    estimator: str,
+    name: str,
+    seed: int,
+    threshold_px: float,
+) -> RunRecord:
+    """Measure one estimate in every way that the truth of the pair allows.
+
+    Parameters
+    ----------
+    estimate : FundamentalEstimate
+        Its `raw_F` is measured, whatever its status: a strict verification would flatter the inputs that it spares.
+    threshold_px : float
+        Matches within it choose among the four poses of F, pixels.
+    """
+    record = RunRecord(
+        group=group,
+        pair_id=pair.pair_id,
+        scene=pair.scene,
+        estimator=estimator,
+        input=name,
+        seed=seed,
+        status=str(estimate.status),
+        support=estimate.support,
+        matches=len(estimate.x1),
+        spread=estimate.spread,
+        plausibility=estimate.plausibility,
+        iterations=estimate.iterations,
+        error_px=np.nan,
+        median_error_px=np.nan,
+        distance=np.nan,
+        rotation_deg=np.nan,
+        translation_deg=np.nan,
+    )
+    F = estimate.raw_F
+    if F is None:
+        return record
+    errors = errors_px(F, truth.x1, truth.x2)
+    record = replace(record, error_px=float(errors.mean()), median_error_px=float(np.median(errors)))
+    if truth.F is not None:
+        child = child_seed(measures.seed, pair.pair_id)
+        distance = symmetric_distance(F, truth.F, pair.sizes(), points=measures.distance_points, seed=child)
+        record = replace(record, distance=distance)
+    if pair.camera1 is not None and pair.camera2 is not None:
+        near = sampson_distance(F, estimate.x1, estimate.x2) < threshold_px
+        angles = pose_errors(F, (pair.camera1, pair.camera2), estimate.x1[near], estimate.x2[near])
+        record = replace(record, rotation_deg=angles[0], translation_deg=angles[1])
+    return record
+
+
+def run_pair(
+    *,
+    pair: Pair,
+    matches: MatchFiles,
+    estimator: str,
+    seeds: Sequence[int],
+    hand_overs: Mapping[str, HandOver],
+    group: str,
+    truth: TruthSettings,
+    measures: MeasureSettings,
+) -> list[RunRecord]:
+    """Return one record per input and seed of one estimator; parameters as for `estimates` and `run_record`."""
+    read, known = matches.read(), pair_truth(pair, truth)
+    factor = max(read.pixel_factors)
+    return [
+        run_record(
+            estimate, pair, known, measures, group=group, estimator=estimator, name=name, seed=seed,
+            threshold_px=hand_overs[name].threshold_px * factor,
+        )
+        for name, seed, estimate in estimates(
+            read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs
+        )
+    ]  # fmt: skip
+
+
+def run_pairs(
+    pairs: Sequence[Pair],
+    matched: Sequence[MatchFiles],
+    *,
+    group: str,
+    inputs: EstimatorInputs,
+    seeds: Sequence[int],
+    hand_overs: HandOvers,
+    truth: TruthSettings,
+    measures: MeasureSettings,
+    workers: int = 1,
+    store: Path | None = None,
+) -> list[RunRecord]:
+    """Run every estimator on its inputs of every pair in parallel: one task per pair and estimator.
+
+    Parameters
+    ----------
+    pairs, matched : sequences
+        In one order; the matches of all inputs that are used.
+    inputs : mapping of str to sequence of str
+        For each estimator the inputs that it gets.
+    seeds, hand_overs, truth, measures
+        As for `run_pair`, with the estimator first: ``hand_overs[estimator][input]``.
+    workers, store
+        As for `epiprior_lab.compute.tasks.map_tasks`.
+    """
+    tasks = []
+    for pair, matches in zip(pairs, matched, strict=True):
+        for estimator, names in inputs.items():
+            needed = matches.only(names)
+            payload = {
+                "pair": pair,
+                "matches": needed,
+                "estimator": estimator,
+                "seeds": tuple(seeds),
+                "hand_overs": {name: hand_overs[estimator][name] for name in names},
+                "group": group,
+                "truth": truth,
+                "measures": measures,
+            }
+            files = (*pair.files, *needed.paths.values())
+            tasks.append(Task(name=f"{pair.pair_id} {estimator}", payload=payload, files=files))
+    found = map_tasks(run_pair, tasks, workers=workers, description=f"estimate {group}", store=store)
+    return [record for records in found for record in records]

@@ -1,0 +1,107 @@
+"""Wall time of the whole pipeline, from image files to F, by estimator and input, and of the cascade of two inputs.
+
+One process, one pair at a time (after the paper's figure of time overhead); no result depends on these times.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from epiprior.types import FundamentalEstimate, Status
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.evaluation.inputs import INPUTS, PREPROCESSED, PRESETS, WITHOUT, match_pair
+from epiprior_lab.evaluation.protocol import Protocol
+from epiprior_lab.evaluation.records import CASCADE, TimingRecord
+from epiprior_lab.evaluation.runs import error_px, estimates
+from epiprior_lab.evaluation.truth import pair_truth
+from epiprior_lab.features.detection import detect_pair
+from epiprior_lab.pairsets import Pair
+
+
+def spread_pairs(pairs: Sequence[Pair], count: int) -> list[Pair]:
+    """Return so many of the pairs, taken evenly."""
+    return list(pairs[:: max(1, len(pairs) // count)][:count])
+
+
+def time_pair(
+    pair: Pair, protocol: Protocol, rule: CascadeRule, *, group: str, seeds: Sequence[int]
+) -> list[TimingRecord]:
+    """Time one pair.
+
+    Parameters
+    ----------
+    pair : Pair
+        Its images are read anew for each input, since that is what a user pays.
+    protocol : Protocol
+        Estimators, their inputs and hand-overs; inputs of peers are left out.
+    rule : CascadeRule
+        Of the cascade.
+    group : str
+        Leads every record.
+    seeds : sequence of int
+        One run each.
+
+    Returns
+    -------
+    list of TimingRecord
+        By input, estimator and seed; those of the cascade last.
+    """
+    truth = pair_truth(pair, protocol.truth)
+    found: dict[tuple[str, int, str], tuple[TimingRecord, FundamentalEstimate]] = {}
+    for name in (name for name in protocol.all_inputs if name in INPUTS):
+        start = time.perf_counter()
+        detected = detect_pair(pair)
+        middle = time.perf_counter()
+        matches = match_pair(pair, (name,), detected=detected)
+        features, matching = middle - start, time.perf_counter() - middle
+        for estimator in (e for e, names in protocol.inputs.items() if name in names):
+            hand_overs = protocol.hand_overs[estimator]
+            for _, seed, estimate in estimates(
+                matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs
+            ):
+                running = sum(estimate.seconds.values())
+                record = TimingRecord(
+                    group=group,
+                    pair_id=pair.pair_id,
+                    scene=pair.scene,
+                    estimator=estimator,
+                    input=name,
+                    seed=seed,
+                    seconds_features=features,
+                    seconds_matching=matching,
+                    seconds_estimator=running,
+                    seconds_total=features + matching + running,
+                    preprocessed=name in PRESETS,
+                    error_px=error_px(estimate, truth),
+                )
+                found[estimator, seed, name] = record, estimate
+    cascades = [
+        _cascade(found[estimator, seed, name], found[estimator, seed, PREPROCESSED], rule)
+        for estimator, seed, name in found
+        if name in WITHOUT and (estimator, seed, PREPROCESSED) in found
+    ]
+    return [*(record for record, _ in found.values()), *cascades]
+
+
+def _cascade(
+    first: tuple[TimingRecord, FundamentalEstimate], second: tuple[TimingRecord, FundamentalEstimate], rule: CascadeRule
+) -> TimingRecord:
+    """Return the time of the cascade: as the library does, it finds the features that both share only once."""
+    (before, estimate), (after, again) = first, second
+    if rule.keeps(estimate):
+        return replace(before, input=CASCADE)
+    features = before.seconds_features + (0.0 if before.input == "standard" else after.seconds_features)
+    matching = before.seconds_matching + after.seconds_matching
+    running = before.seconds_estimator + after.seconds_estimator
+    back = estimate.status is Status.OK and again.status is not Status.OK
+    return replace(
+        after,
+        input=CASCADE,
+        seconds_features=features,
+        seconds_matching=matching,
+        seconds_estimator=running,
+        seconds_total=features + matching + running,
+        error_px=(before if back else after).error_px,
+    )

@@ -1,0 +1,197 @@
+"""Streets and open places: sky, ground and rim, what is built there and what stands about."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from epiprior_lab.scenes.camera_pairs import Subject
+from epiprior_lab.scenes.clutter import FURNITURE, PASSING, add_crates, add_poster_board, add_rock, scatter
+from epiprior_lab.scenes.facades import HouseStyle, add_facade, add_house, house_style
+from epiprior_lab.scenes.materials import foliage, pavement, wall, wall_style
+from epiprior_lab.scenes.settings import FamilySettings
+from epiprior_lab.scenes.textures import crop, noise
+from epiprior_lab.scenes.world import BOTH_VIEWS, FIRST_VIEW, SECOND_VIEW, Frame, Image, World, WorldBuilder, upright
+
+_GROUND_M = 120.0
+_GROUND_TILE_M = 10.0
+_ROWS, _COLUMNS = 512, 1024  # of the surroundings
+
+
+def _begin_world(rng: np.random.Generator) -> WorldBuilder:
+    """Return a world with sky, ground and what stands at its rim."""
+    world = WorldBuilder(surroundings=_surroundings(rng))
+    side = 768
+    ground = world.texture(pavement(rng, side, side, texels_per_m=side / _GROUND_TILE_M))
+    half, tiles = _GROUND_M / 2, _GROUND_M / _GROUND_TILE_M
+    corner, across, down = (-half, 0.0, half), (_GROUND_M, 0.0, 0.0), (0.0, 0.0, -_GROUND_M)
+    world.face(corner, across, down, ground, area=(0.0, 0.0, tiles, tiles))
+    _add_backdrop(world, rng)
+    return world
+
+
+def _add_backdrop(world: WorldBuilder, rng: np.random.Generator) -> None:
+    """Add a ring of flat houses and trees at the rim of the ground."""
+    corners, radius = 9, 0.48 * _GROUND_M
+    textures = [world.texture(_row_of_houses(rng)) for _ in range(3)]
+    for k in range(corners):
+        angles = 2 * np.pi * k / corners, 2 * np.pi * (k + 1) / corners
+        here, there = (radius * np.array([np.cos(a), 0.0, np.sin(a)]) for a in angles)
+        high = float(rng.uniform(7, 13))
+        # Seen from inside the ring the corners follow each other from right to left.
+        world.face(there - [0.0, high, 0.0], here - there, (0.0, high, 0.0), textures[k % 3])
+
+
+def _row_of_houses(rng: np.random.Generator) -> Image:
+    """Return far houses between trees, shape (192, 640, 4), with sky above them."""
+    height, width = 192, 640
+    image = np.zeros((height, width, 4), dtype=np.uint8)
+    x = 0
+    while x < width:
+        wide, top = int(rng.integers(50, 130)), int(rng.integers(10, 110))
+        if rng.random() < 0.25:
+            trees = foliage(rng, 128)
+            right = min(x + 128, width)
+            image[height - 100 :, x:right] = trees[14:114, : right - x]
+            x += int(rng.integers(50, 110))
+            continue
+        house = wall(rng, height - top, wide, wall_style(rng, distinct=0.5), texels_per_m=14.0)
+        dark, step = (house[:1, :1] // 4).astype(np.uint8), int(rng.integers(16, 26))
+        for y in range(12, house.shape[0] - 14, step + 6):
+            for left in range(6, wide - 12, step):
+                house[y : y + 14, left : left + 9] = dark
+        right = min(x + wide, width)
+        image[top:, x:right, :3], image[top:, x:right, 3] = house[:, : right - x], 255
+        x += wide
+    return image
+
+
+def _surroundings(rng: np.random.Generator) -> Image:
+    """Return a picture of all directions, (512, 1024, 3): zenith in the first row, horizon in the middle."""
+    half = _ROWS // 2
+    zenith = np.array(((92, 130, 186), (150, 160, 172), (118, 148, 190))[int(rng.integers(3))], dtype=np.float32)
+    horizon = np.array((206, 212, 216), dtype=np.float32)
+    part = np.linspace(0, 1, half, dtype=np.float32)[:, None, None] ** 1.5
+    sky = np.repeat(zenith * (1 - part) + horizon * part, _COLUMNS, axis=1)
+    clouds = cv2.GaussianBlur(np.ascontiguousarray(noise(rng, half, _COLUMNS, "coarse")), (0, 0), 2.0)
+    cover = np.clip(rng.uniform(-0.6, 0.5) + 0.7 * clouds, 0, 1)[..., None]
+    sky = sky * (1 - 0.8 * cover) + 236 * 0.8 * cover
+    ground = np.full((half, _COLUMNS, 3), 112, dtype=np.float32)
+    image = np.concatenate([sky, ground])
+    image[half - 40 : half + 10] = _skyline(rng, image[half - 40 : half + 10])
+    return np.asarray(np.clip(image, 0, 255), dtype=np.uint8)
+
+
+def _skyline(rng: np.random.Generator, band: np.ndarray) -> np.ndarray:
+    """Draw the other side of the street, blurred: it is seen only as a reflection or behind everything."""
+    height, width = band.shape[:2]
+    out = np.array(band, dtype=np.float32)
+    x = 0
+    while x < width:
+        wide, high = int(rng.integers(20, 80)), int(rng.integers(12, height - 8))
+        view = crop(rng, height, wide, ("china", "rocket", "motorcycle", "camera"), part=(0.4, 1.0))
+        part = out[height - high :, x : x + wide]
+        part[:] = 0.35 * part + 0.5 * view[height - high :, : part.shape[1]]
+        x += wide + int(rng.integers(0, 40))
+    return np.asarray(cv2.GaussianBlur(out, (0, 0), 1.2))
+
+
+def draw_street(rng: np.random.Generator, settings: FamilySettings) -> tuple[World, Subject]:
+    """Draw a street with a facade about 20 m wide, in one to three parts that stand out from each other."""
+    world = _begin_world(rng)
+    style = _house_style(rng, settings, 56.0)
+    width, height = float(rng.uniform(16, 25)), float(rng.uniform(9, 16))
+    frame = Frame.facing((-width / 2, 0.0, 0.0), 0.0)
+    parts = int(rng.integers(1, 4))
+    borders = np.concatenate([[0.0], np.sort(rng.uniform(0.25, 0.75, size=parts - 1)), [1.0]]) * width
+    if parts > 1 and np.diff(borders).min() < 3.0:
+        borders = np.linspace(0.0, width, parts + 1)
+    for k, (left, right) in enumerate(pairwise(borders.tolist())):
+        forward = float(rng.uniform(0.4, 1.4)) if k % 2 == 1 or (parts == 2 and rng.random() < 0.5) else 0.0
+        part = Frame(frame.point(left, 0.0, forward), frame.right, frame.outward)
+        add_facade(world, rng, part, style, width=right - left, height=height)
+        _add_returns(world, rng, part, width=right - left, height=height, depth=forward + 0.3)
+    _add_neighbours(world, rng, frame, settings, width=width)
+    across, before = (-0.55 * width, 0.55 * width), (2.0, 7.0)
+    scatter(world, rng, FURNITURE, count=int(rng.integers(3, 8)), across=across, before=before, view=BOTH_VIEWS)
+    _add_passing(world, rng, settings, across=across, before=before)
+    subject = Subject(
+        frame=Frame(np.zeros(3), frame.right, frame.outward),
+        distance_m=(11.0, 18.0),
+        obliquity_deg=55.0,
+        aim_across_m=(-0.2 * width, 0.2 * width),
+        aim_up_m=(2.0, 0.55 * height),
+        eye_m=(1.5, 3.5),
+    )
+    return world.build(), subject
+
+
+def _add_returns(
+    world: WorldBuilder, rng: np.random.Generator, frame: Frame, *, width: float, height: float, depth: float
+) -> None:
+    """Close a part that stands forward on both sides, with a wall of its own masonry."""
+    style = wall_style(rng, distinct=0.3)
+    texture = world.texture(wall(rng, int(24 * height), max(8, int(24 * depth)), style, texels_per_m=24.0))
+    for side in (frame.side(width), frame.left_side(-depth)):
+        upright(world, side, (0.0, depth), (0.0, height), 0.0, texture=texture)
+
+
+def _add_neighbours(
+    world: WorldBuilder, rng: np.random.Generator, frame: Frame, settings: FamilySettings, *, width: float
+) -> None:
+    """Add a house on either side, in line, set back, or standing forward so that its side is seen."""
+    for side in (-1, 1):
+        style = _house_style(rng, settings, 40.0)
+        wide, forward = float(rng.uniform(7, 11)), float(rng.choice((-3.0, -1.0, 0.8, 2.5, 4.0)))
+        start = -wide - rng.uniform(0, 1.5) if side < 0 else width + rng.uniform(0, 1.5)
+        place = Frame(frame.point(float(start), 0.0, forward), frame.right, frame.outward)
+        add_house(world, rng, place, style, width=wide, height=float(rng.uniform(5, 12)), depth=8.0)
+
+
+def _house_style(rng: np.random.Generator, settings: FamilySettings, texels_per_m: float) -> HouseStyle:
+    """Draw the style of a house of a family."""
+    distinct, variety = float(rng.uniform(*settings.distinct)), float(rng.uniform(*settings.variety))
+    return house_style(rng, distinct=distinct, variety=variety, texels_per_m=texels_per_m)
+
+
+def _add_passing(
+    world: WorldBuilder,
+    rng: np.random.Generator,
+    settings: FamilySettings,
+    *,
+    across: tuple[float, float],
+    before: tuple[float, float],
+) -> None:
+    """Add what stands in one view only."""
+    for view in (FIRST_VIEW, SECOND_VIEW):
+        count = round(rng.uniform(*settings.passing))
+        scatter(world, rng, PASSING, count=count, across=across, before=before, view=view)
+
+
+def draw_open_scene(rng: np.random.Generator, settings: FamilySettings) -> tuple[World, Subject]:
+    """Draw a place about 25 m wide: houses behind, single things before them, some close to the viewer."""
+    world = _begin_world(rng)
+    across = -16.0
+    while across < 14.0:
+        wide, turn = float(rng.uniform(4, 9)), float(rng.uniform(-35, 35))
+        style = _house_style(rng, settings, 48.0)
+        place = Frame.facing((across, 0.0, float(rng.uniform(2, 10))), turn)
+        height, depth = float(rng.uniform(3, 8)), float(rng.uniform(4, 7))
+        add_house(world, rng, place, style, width=wide, height=height, depth=depth)
+        across += wide + float(rng.uniform(1.5, 5.0))
+    features = (add_rock, add_crates, add_poster_board)
+    scatter(world, rng, features, count=5, across=(-4.0, 4.0), before=(-1.5, 3.5), view=BOTH_VIEWS)
+    count = int(rng.integers(8, 15))
+    scatter(world, rng, FURNITURE, count=count, across=(-9.0, 9.0), before=(-6.0, 4.0), view=BOTH_VIEWS)
+    _add_passing(world, rng, settings, across=(-6.0, 6.0), before=(0.5, 4.0))
+    subject = Subject(
+        frame=Frame.facing((0.0, 0.0, 0.0), 0.0),
+        distance_m=(7.0, 11.0),
+        obliquity_deg=70.0,
+        aim_across_m=(-2.5, 2.5),
+        aim_up_m=(1.0, 2.2),
+        eye_m=(1.4, 3.0),
+    )
+    return world.build(), subject

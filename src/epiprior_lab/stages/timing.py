@@ -1,0 +1,45 @@
+"""Stage `timing`: a leaf that measures time; no other stage reads what it writes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import track
+
+from epiprior.verification.cascade import load_cascade_rule
+from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
+from epiprior_lab.evaluation.records import Tables, TimingRecord, to_frame, write_frame
+from epiprior_lab.evaluation.timing import spread_pairs, time_pair
+from epiprior_lab.params import STUDY, StudyParams, load_params
+from epiprior_lab.report.bounds import BOUNDS, load_bounds
+from epiprior_lab.report.report import read_results
+from epiprior_lab.report.timing import write_timings
+
+
+def main() -> None:
+    """Write ``<out>/pairs.csv``, a row per run, and what the report makes of it."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--params", type=Path, default=STUDY)
+    parser.add_argument("--out", type=Path, default=Path("reports/timings"))
+    arguments = parser.parse_args()
+    params = load_params(arguments.params)
+    own, seeds, protocol = params.evaluate, params.timing.seeds, make_protocol(params)
+    rule = load_cascade_rule(MODELS / "cascade.json")
+    groups = [name for name in own.groups if name not in (own.apart or ())]
+    pairs = [(g, pair) for g in groups for pair in spread_pairs(pairs_of(own, g), params.timing.pairs_per_group)]
+    time_pair(pairs[0][1], protocol, rule, group=groups[0], seeds=seeds[:1])  # compiles kernels, loads models
+    records = []
+    for group, pair in track(pairs, description="timing", console=Console(stderr=True)):
+        records += time_pair(pair, protocol, rule, group=group, seeds=seeds)
+    timings = to_frame(TimingRecord, records)
+    write_frame(timings, arguments.out / "pairs.csv")
+    evaluated = Tables.read([Path(own.out) / group for group in own.groups])
+    results = read_results(evaluated, params.report, apart=own.apart or ())
+    bounds = load_bounds(BOUNDS, "study" if isinstance(params, StudyParams) else "photographs")
+    write_timings(timings, results, arguments.out, params.report.success_px, bounds)
+
+
+if __name__ == "__main__":
+    main()

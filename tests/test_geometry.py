@@ -1,0 +1,131 @@
+"""Distances and fits are those of plain twins; refinement never loses score and follows the weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import naive
+from epiprior.errors import FeatureError
+from epiprior.geometry import (
+    eight_point,
+    first_of_equal,
+    normalise_fundamental,
+    refine_fundamental,
+    sampson_distance,
+    weighted_score,
+)
+from synthetic import make_pair
+
+
+def test_distances_are_those_of_the_plain_way():
+    pair = make_pair()
+    m = pair.matches
+    wanted = [naive.sampson(pair.F, a, b) for a, b in zip(m.x1, m.x2, strict=True)]
+    assert sampson_distance(pair.F, m.x1, m.x2) == pytest.approx(wanted, rel=1e-9)
+    assert sampson_distance(-3 * pair.F.T, m.x2[::2], m.x1[::2]) == pytest.approx(wanted[::2], rel=1e-9)
+    assert np.isinf(sampson_distance(np.zeros((3, 3)), m.x1, m.x2)).all()
+    assert sampson_distance(pair.F, m.x1[:0], m.x2[:0]).shape == (0,)
+    with pytest.raises(FeatureError, match=r"\(300, 2\) and \(299, 2\)"):
+        sampson_distance(pair.F, m.x1, m.x2[1:])
+
+
+def test_a_weighted_fit_is_that_of_the_plain_way():
+    pair = make_pair(inliers=60, outliers=10)
+    m = pair.matches
+    weights = np.random.default_rng(0).uniform(0.1, 1, 70)
+    wanted = normalise_fundamental(naive.eight_point(m.x1, m.x2, weights))
+    assert eight_point(m.x1, m.x2, weights) == pytest.approx(wanted, abs=1e-9)
+    assert eight_point(m.x1[:7], m.x2[:7]) is None
+    assert eight_point(m.x1, m.x2, (np.arange(70) < 7) * 1.0) is None
+
+
+def slow(rows):
+    seen: set[bytes] = set()
+    first = []
+    for k, row in enumerate(rows):
+        if (key := (row + 0.0).tobytes()) not in seen:
+            seen.add(key)
+            first.append(k)
+    return first
+
+
+@pytest.mark.parametrize("columns", [1, 2, 4])
+@pytest.mark.parametrize("numbers", [3, 40, 10**9])
+def test_first_of_equal_is_the_slow_way(columns, numbers):
+    rng = np.random.default_rng(columns)
+    for n in (0, 1, 2, 30, 500):
+        rows = rng.integers(-numbers, numbers, (n, columns)) / 7.0
+        rows[rng.random(n) < 0.2] = rows[:1]
+        assert first_of_equal(rows).tolist() == slow(rows)
+
+
+def test_the_sign_of_zero_makes_no_difference():
+    assert first_of_equal(np.array([[0.0, 1.0], [-0.0, 1.0]])).tolist() == [0]
+
+
+def rough_start(pair, seed: int):
+    """An F from the right matches with 8 px of added noise: wrong by one to several pixels."""
+    rng = np.random.default_rng(seed)
+    x1, x2 = pair.matches.x1[pair.right], pair.matches.x2[pair.right]
+    F = eight_point(x1 + rng.normal(0, 8.0, x1.shape), x2 + rng.normal(0, 8.0, x2.shape))
+    assert F is not None
+    return F
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_rough_start_is_mended(seed):
+    pair = make_pair(inliers=60, outliers=200, seed=seed)
+    start = rough_start(pair, seed)
+    refined = refine_fundamental(start, pair.matches.x1, pair.matches.x2, pair.matches.probability)
+    assert pair.error_px(start) > 1.0
+    assert pair.error_px(refined) < 0.6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_score_never_falls(seed):
+    pair = make_pair(inliers=30, outliers=300, order=1.0, seed=seed)
+    m = pair.matches
+    wrong = normalise_fundamental(np.random.default_rng(seed).normal(size=(3, 3)))
+    assert wrong is not None
+    for start in (rough_start(pair, seed), pair.F, wrong):
+        refined = refine_fundamental(start, m.x1, m.x2, m.probability)
+        before, after = (weighted_score(G, m.x1, m.x2, m.probability) for G in (start, refined))
+        assert after >= before
+
+
+def test_weights_decide_between_two_motions():
+    """The same matches twice, once moved by 6 px in image 2: F follows those that are probable."""
+    pair = make_pair(inliers=100, outliers=0, seed=1)
+    moves = (np.zeros(2), np.array([0.0, 6.0]))
+    x1 = np.concatenate([pair.matches.x1] * 2)
+    x2 = np.concatenate([pair.matches.x2 + move for move in moves])
+    for move, weights in zip(moves, ([1.0, 0.02], [0.02, 1.0]), strict=True):
+        F = refine_fundamental(pair.F, x1, x2, np.repeat(weights, 100))
+        assert weighted_score(F, pair.control1, pair.control2 + move, np.ones(400)) > 300
+
+
+def test_it_is_better_than_one_unweighted_fit():
+    errors = []
+    for seed in range(8):
+        pair = make_pair(inliers=80, outliers=80, noise_px=0.7, seed=seed)
+        m = pair.matches
+        plain = eight_point(m.x1[pair.right], m.x2[pair.right])
+        errors.append((pair.error_px(plain), pair.error_px(refine_fundamental(pair.F, m.x1, m.x2, m.probability))))
+    once, refined = np.median(errors, axis=0)
+    assert refined < 1.2 * once
+
+
+def test_too_few_matches_return_the_start():
+    pair = make_pair(inliers=7, outliers=0)
+    assert refine_fundamental(pair.F, pair.matches.x1, pair.matches.x2) is pair.F
+    many = make_pair(inliers=50, outliers=0)
+    assert refine_fundamental(many.F, many.matches.x1, many.matches.x2, np.zeros(50)) is many.F
+    assert refine_fundamental(many.F, many.matches.x1, many.matches.x2, thresholds=()) is many.F
+
+
+def test_score_is_one_per_perfect_match_and_nothing_beyond_the_threshold():
+    pair = make_pair(inliers=40, outliers=0, noise_px=0.0)
+    weights = np.linspace(0, 1, 40)
+    assert weighted_score(pair.F, pair.matches.x1, pair.matches.x2, weights) == pytest.approx(weights.sum())
+    assert weighted_score(pair.F, pair.matches.x1, pair.matches.x2 + 500.0, weights) < 1.0
