@@ -20,7 +20,8 @@ import cv2
 import numpy as np
 
 import epiprior
-from epiprior.features.detect import FeatureSettings, detect_features, load_photograph
+from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.features.images import load_photograph
 from epiprior.presets import PRESETS, PreprocessSettings
 
 

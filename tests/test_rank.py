@@ -9,7 +9,8 @@ import pytest
 
 import epiprior
 from epiprior.errors import FeatureError, ImageError, ModelError, SettingsError
-from epiprior.features.detect import FeatureSettings, detect_features, load_photograph
+from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.features.images import load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.matching import pair
 from epiprior.presets import DEFAULT, PAPER

@@ -11,7 +11,8 @@ from epiprior import rank as preprocess
 from epiprior import two_view as fundamental
 from epiprior.errors import EstimatorError, ImageError, SettingsError
 from epiprior.estimators.handover import HandOver
-from epiprior.features.detect import detect_features, load_photograph
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.presets import find_preset
 from epiprior.ranking.models import load_model

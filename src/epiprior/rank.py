@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from epiprior.errors import ModelError
-from epiprior.features.detect import View
+from epiprior.features.images import View
 from epiprior.kernels.compilation import announce_compilation
 from epiprior.matching.baselines import standard_set
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses

@@ -11,7 +11,7 @@ from epiprior.errors import ImageError, SettingsError
 from epiprior.estimators import find_estimator
 from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.estimators.run import estimate_from_matches
-from epiprior.features.detect import Image, blank_photograph, load_photograph
+from epiprior.features.images import Image, blank_photograph, load_photograph
 from epiprior.matching.baselines import generalized_matches, standard_set
 from epiprior.matching.pair import prepare_pair
 from epiprior.mode import Mode

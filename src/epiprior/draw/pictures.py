@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from epiprior.draw.captions import INK, PAPER, Colour, Picture, draw_header, draw_label, probability_colours
 from epiprior.errors import FeatureError, ImageError, SettingsError
-from epiprior.features.detect import Image, read_image
+from epiprior.features.images import Image, read_image
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray, MatchSet
 
 # Eight hues that stay apart on a darkened photograph, also for the colour-blind (after Okabe and Ito).

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from epiprior.errors import SettingsError
-from epiprior.features.detect import FeatureSettings, View
+from epiprior.features.detect import FeatureSettings
+from epiprior.features.images import View
 from epiprior.matching.pair import PreparedPair, prepare_pair
 from epiprior.matching.standard import mutual_mask, similarity_weights
 from epiprior.presets import DEFAULT, PreprocessSettings, find_preset

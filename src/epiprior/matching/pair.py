@@ -13,15 +13,9 @@ from typing import TypeVar
 import numpy as np
 
 from epiprior.errors import FeatureError, ImageError
-from epiprior.features.detect import (
-    FeatureSettings,
-    Photograph,
-    View,
-    blank_photograph,
-    detect_features,
-    load_photograph,
-    normalise_descriptors,
-)
+from epiprior.features.describe import normalise_descriptors
+from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.features.images import Photograph, View, blank_photograph, load_photograph
 from epiprior.matching.roll import expected_roll, orientation_differences
 from epiprior.matching.standard import Neighbours, mutual_mask, nearest_neighbours
 from epiprior.presets import DEFAULT, PreprocessSettings

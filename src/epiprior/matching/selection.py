@@ -10,22 +10,13 @@ import math
 import numba
 import numpy as np
 
-from epiprior.errors import FeatureError
+from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.types import BoolArray, FloatArray, IntArray
+
+__all__ = ["first_of_equal", "one_to_one_mask", "spread_mask"]
 
 _GRID = 8
 _FACTORS = np.array([1.0, 0.6180339887498949, 0.7548776662466927, 0.5698402909980532])  # of no simple ratio
-
-
-@numba.njit(cache=True, nogil=True)
-def _walk(feature1, feature2, used1, used2):  # type: ignore[no-untyped-def]
-    keep = np.zeros(len(feature1), np.bool_)
-    for m in range(len(feature1)):
-        i, j = feature1[m], feature2[m]
-        if not used1[i] and not used2[j]:
-            used1[i] = used2[j] = True
-            keep[m] = True
-    return keep
 
 
 @numba.njit(cache=True, nogil=True)
@@ -44,38 +35,6 @@ def _walk_cells(cell1, cell2, cells, limit, wanted):  # type: ignore[no-untyped-
             taken += 1
             keep[m] = True
     return keep
-
-
-def one_to_one_mask(feature1: IntArray, feature2: IntArray) -> BoolArray:
-    """Return which matches remain if a match is skipped whose feature, in either image, was used before.
-
-    Parameters
-    ----------
-    feature1, feature2 : ndarray, shape (N,), int
-        Features of the matches, best match first; any numbers >= 0.
-
-    Returns
-    -------
-    ndarray, shape (N,), bool
-        A greedy matching: no match could be added to it.
-
-    Raises
-    ------
-    FeatureError
-        If shapes disagree or a number is negative.
-    """
-    first, second = np.asarray(feature1, dtype=np.int64), np.asarray(feature2, dtype=np.int64)
-    if first.shape != second.shape or first.ndim != 1:
-        raise FeatureError(f"feature1 and feature2 have shapes {first.shape} and {second.shape}, expected (N,) twice")
-    if not len(first):
-        return np.zeros(0, dtype=np.bool_)
-    if min(first.min(), second.min()) < 0:
-        raise FeatureError(f"feature numbers must not be negative, found {min(first.min(), second.min())}")
-    # Dense numbers keep the memory at the number of matches, whatever numbers the caller uses.
-    unique1, dense1 = np.unique(first, return_inverse=True)
-    unique2, dense2 = np.unique(second, return_inverse=True)
-    mask: BoolArray = _walk(dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_))
-    return mask
 
 
 def first_of_equal(rows: FloatArray) -> IntArray:

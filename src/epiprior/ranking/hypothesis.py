@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from epiprior.features.detect import describe_at_orientation
+from epiprior.features.describe import describe_at_orientation
 from epiprior.matching.clusters import Clusters, cluster_features
 from epiprior.matching.pair import PreparedPair, both_images, unit_descriptors
 from epiprior.matching.putative import PutativeMatches, putative_matches

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 
-from epiprior.features.detect import View
+from epiprior.features.images import View
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import DEFAULT, PreprocessSettings
 from epiprior.rank import rank_voted

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from epiprior.features.detect import FeatureSettings, Photograph, detect_features, load_photograph
+from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.features.images import Photograph, load_photograph
 from epiprior.types import Features
 from epiprior_lab.pairsets import Pair
 
