@@ -11,21 +11,22 @@ from epiprior.errors import ImageError, SettingsError
 from epiprior.estimators import find_estimator
 from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.estimators.run import estimate_from_matches
-from epiprior.features.images import Image, blank_photograph, load_photograph
+from epiprior.features.images import Photograph, View, blank_photograph, load_photograph
+from epiprior.features.shortage import explain_shortage
 from epiprior.matching.baselines import generalized_matches, standard_set
 from epiprior.matching.pair import prepare_pair
 from epiprior.mode import Mode
 from epiprior.presets import PreprocessSettings, find_preset
 from epiprior.stopwatch import Stopwatch
-from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches
+from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
 from epiprior.verification.cascade import CascadeRule, load_cascade_rule
 
 _OWN_CANDIDATES = "generalized-ransac"
 
 
 def estimate_fundamental(
-    image1: Image | None,
-    image2: Image | None,
+    image1: View | None,
+    image2: View | None,
     *,
     estimator: str = "epiprior",
     mode: Mode | None = None,
@@ -38,14 +39,15 @@ def estimate_fundamental(
     ranked: RankedMatches | None = None,
     hand_over: HandOver | None = None,
     rule: CascadeRule | None = None,
+    settings: PreprocessSettings | None = None,
 ) -> FundamentalEstimate:
     """Estimate the fundamental matrix of two photographs.
 
     Parameters
     ----------
-    image1, image2 : path, ndarray or None
-        The photographs: a file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB. None only where features
-        are handed in, see `rank_matches`.
+    image1, image2 : path, ndarray, Photograph or None
+        The photographs: a file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA. None
+        only where features are handed in, see `rank_matches`.
     estimator : str
         Name of a robust estimator, see `epiprior.estimators`; by default the one that did best.
     mode : str, optional
@@ -71,6 +73,8 @@ def estimate_fundamental(
         inputs and takes none.
     rule : CascadeRule, optional
         Of the cascade, instead of the one that was chosen on validation scenes.
+    settings : PreprocessSettings, optional
+        Instead of the preset's. The standard matches take over how features are found.
 
     Returns
     -------
@@ -99,7 +103,7 @@ def estimate_fundamental(
         images=(image1, image2),
         features=(features1, features2),
         estimator=estimator,
-        settings=find_preset(preset),
+        settings=settings or find_preset(preset),
         seed=seed,
         threshold_px=threshold_px,
         ranked=ranked,
@@ -112,10 +116,10 @@ def estimate_fundamental(
     return request.cascade(rule or load_cascade_rule())
 
 
-def _size_of(image: Image | None) -> tuple[int, int]:
+def _size_of(image: View | None) -> tuple[int, int]:
     if image is None:
         raise ImageError("an image is None, and the ranked matches do not know its size")
-    return load_photograph(image).size
+    return image.size if isinstance(image, Photograph) else load_photograph(image).size
 
 
 def _chosen_mode(mode: Mode | None, preprocess: bool | None) -> Mode:
@@ -133,7 +137,7 @@ def _chosen_mode(mode: Mode | None, preprocess: bool | None) -> Mode:
 class _Request:
     """What `estimate_fundamental` was asked for; each method answers on one input."""
 
-    images: tuple[Image | None, Image | None]
+    images: tuple[View | None, View | None]
     features: tuple[Features | None, Features | None]
     estimator: str
     settings: PreprocessSettings
@@ -148,23 +152,24 @@ class _Request:
             watch = Stopwatch()
             with watch.step("generalized matches"):
                 first, second = self.features
-                candidates = generalized_matches(*self.images, features1=first, features2=second)
+                candidates = generalized_matches(
+                    *self.images, features=self._baseline().features, features1=first, features2=second
+                )
             return self._estimate("generalized", [candidates], watch.seconds), None
         if self.ranked is not None:
             return self._estimate("standard", [self.ranked.standard], {}), None
-        paper, watch = find_preset("paper"), Stopwatch()
+        paper, watch = self._baseline(), Stopwatch()
         first, second = self.features
         prepared = prepare_pair(*self.images, paper, features1=first, features2=second, watch=watch)
         return self._estimate("standard", [standard_set(prepared, paper)], watch.seconds), prepared.features
 
     def on_ranked(self, found: tuple[Features, Features] | None = None) -> FundamentalEstimate:
-        """Return the estimate on ranked matches, of features `found` before where the preset would find the same."""
-        name = self.settings.name
+        """Return the estimate on ranked matches, of features that were `found` before, if they are at hand."""
         ranked = self.ranked
         if ranked is None:
-            first, second = found if found is not None and self._finds_the_same() else self.features
-            ranked = rank.rank_matches(*self.images, preset=name, features1=first, features2=second)
-        return self._estimate(name, ranked.sets, ranked.seconds)
+            first, second = found or self.features
+            ranked = rank.rank_matches(*self.images, settings=self.settings, features1=first, features2=second)
+        return self._estimate(self.settings.name, ranked.sets, ranked.seconds)
 
     def cascade(self, rule: CascadeRule) -> FundamentalEstimate:
         """Return the estimate without preprocessing if the rule keeps it, else the one on ranked matches."""
@@ -175,10 +180,10 @@ class _Request:
         best = first if first and not second else second
         return replace(best, seconds={"standard input": sum(first.seconds.values())} | dict(second.seconds))
 
-    def _finds_the_same(self) -> bool:
-        """Return whether the preset differs from the baseline at most in how descriptors are normalised."""
-        own, baseline = self.settings.features, find_preset("paper").features
-        return replace(own, root=baseline.root, centred=baseline.centred) == baseline
+    def _baseline(self) -> PreprocessSettings:
+        """Return the paper's preset on the features that were asked for, normalised as the paper does."""
+        paper, own = find_preset("paper"), self.settings.features
+        return replace(paper, features=replace(own, root=paper.features.root, centred=paper.features.centred))
 
     def _estimate(self, kind: str, sets: Sequence[MatchSet], seconds: Mapping[str, float]) -> FundamentalEstimate:
         how = self.hand_over or load_hand_overs()[self.estimator][kind]
@@ -190,4 +195,8 @@ class _Request:
         found = estimate_from_matches(
             sets, estimator=self.estimator, seed=self.seed, hand_over=how, pixel_factors=(factor1, factor2)
         )
-        return replace(found, input=kind, seconds=dict(seconds) | dict(found.seconds))
+        message = found.message
+        if found.status is Status.TOO_FEW_MATCHES:
+            why = explain_shortage(self.images, self.features, self.settings.features)
+            message += f"; {why}" if why else ""
+        return replace(found, input=kind, message=message, seconds=dict(seconds) | dict(found.seconds))

@@ -68,13 +68,15 @@ def detect_features(photograph: Photograph, settings: FeatureSettings | None = N
     Returns
     -------
     Features
-        In pixels of the image as given. Empty for an image without texture or smaller than 16 pixels.
+        In pixels of the image as given, none where it is transparent. Empty for an image without texture or smaller
+        than 16 pixels.
     """
     settings = settings or FeatureSettings()
     if min(photograph.grey.shape) < _MIN_IMAGE_SIDE:
         return _as_features(photograph, np.empty((0, 4)), np.empty((0, 128), np.float32))
     frames, descriptors = DETECTORS[settings.detector](photograph.grey, settings.max_keypoints)
-    return _as_features(photograph, frames, descriptors)
+    shown = photograph.shows(frames[:, :2])
+    return _as_features(photograph, frames[shown], descriptors[shown])
 
 
 def _as_features(photograph: Photograph, frames: FloatArray, descriptors: Float32Array) -> Features:

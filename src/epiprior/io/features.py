@@ -169,7 +169,7 @@ def _check_is_file(path: Path) -> None:
 
 
 def _check_is_colmap(database: Path, image_name: str) -> None:
-    """Raise FeatureError unless COLMAP's tables are there, and the image's numbers fill the rows that it is said to have.
+    """Raise FeatureError unless COLMAP's tables are there, and the image's numbers fill the rows they are said to have.
 
     Pycolmap would add the tables to any other database.
     """
@@ -181,7 +181,7 @@ def _check_is_colmap(database: Path, image_name: str) -> None:
             if missing:
                 raise FeatureError(f"{database}: not a COLMAP database: no table {', '.join(missing)}")
             for table, width in _ENTRY_BYTES.items():
-                query = f"SELECT rows, cols, length(data) FROM {table} NATURAL JOIN images WHERE name = ?"  # noqa: S608
+                query = f"SELECT rows, cols, length(data) FROM {table} NATURAL JOIN images WHERE name = ?"
                 for rows, columns, size in opened.execute(query, (image_name,)):
                     if rows * columns * width != (size or 0):
                         raise FeatureError(
