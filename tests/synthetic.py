@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from epiprior.geometry import normalise_fundamental, sampson_distance
-from epiprior.types import BoolArray, FloatArray, MatchSet
+from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
 
 Scene = Literal["relief", "plane", "plane+", "rotation", "line"]
 
@@ -132,3 +132,11 @@ def make_pair(
         project(control, np.eye(3), np.zeros(3)),
         project(control, R, t),
     )
+
+
+def random_scene(seed: int, n: int = 60, clusters: int = 8) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Locations, scales and clusters of the features of an image; two of them are twins."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, 100, (n, 2))
+    xy[5] = xy[6]
+    return xy, rng.uniform(0.8, 4, n), rng.integers(0, clusters, n)

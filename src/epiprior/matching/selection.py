@@ -10,8 +10,7 @@ import math
 import numba
 import numpy as np
 
-from epiprior.kernels.one_to_one import one_to_one_mask
-from epiprior.types import BoolArray, FloatArray, IntArray
+from epiprior.types import BoolArray, FloatArray, IntArray, one_to_one_mask
 
 __all__ = ["first_of_equal", "one_to_one_mask", "spread_mask"]
 
