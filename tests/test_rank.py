@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import epiprior
-from epiprior.errors import FeatureError, ImageError, ModelError, SettingsError
-from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.errors import FeatureError, ImageError, ModelError
+from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.matching import pair
-from epiprior.presets import DEFAULT, PAPER
+from epiprior.presets import DEFAULT, PAPER, FeatureSettings
 from epiprior.ranking import hypothesis
 from epiprior.ranking.models import load_model
 from pictures import relief_pair, rotated, texture
@@ -133,29 +133,3 @@ def test_no_texture_gives_empty_sets(model, blank):
         found = epiprior.rank_matches(*images, model=model)
         assert [len(s) for s in found.sets] == [0]
         assert len(found.standard) == 0
-
-
-def test_unknown_preset_and_bad_settings_are_named():
-    with pytest.raises(SettingsError, match="'fancy', known: paper, default"):
-        epiprior.rank_matches(texture(), texture(), preset="fancy")
-    with pytest.raises(SettingsError, match="vote_threshold is -1"):
-        replace(DEFAULT, vote_threshold=-1.0)
-    with pytest.raises(SettingsError, match="frame"):
-        replace(DEFAULT, frame="nothing")
-
-
-def test_standard_matches_are_the_papers():
-    found = epiprior.standard_matches(*relief_pair())
-    assert (np.diff(found.distance_ratio) >= 0).all()
-    assert found.distance_ratio.max() <= 0.9
-    assert np.isnan(found.probability).all()
-    fewer = epiprior.standard_matches(*relief_pair(), max_distance_ratio=0.6)
-    assert 0 < len(fewer) < len(found)
-    np.testing.assert_array_equal(fewer.x1, found.x1[: len(fewer)])
-
-
-def test_snn_is_mutual_and_ordered():
-    found = epiprior.snn_matches(*relief_pair())
-    assert (np.diff(found.distance_ratio) >= 0).all()
-    assert found.distance_ratio.max() < 0.85
-    assert len({tuple(x) for x in np.column_stack([found.x2, found.orientation2_deg])}) == len(found)
