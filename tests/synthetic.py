@@ -7,8 +7,11 @@ from typing import Literal
 
 import numpy as np
 
+from epiprior.estimators import EstimatorSettings
+from epiprior.estimators.handover import HandOver
+from epiprior.estimators.run import estimate_from_matches
 from epiprior.geometry import normalise_fundamental, sampson_distance
-from epiprior.types import BoolArray, FloatArray, MatchSet
+from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, MatchSet
 
 Scene = Literal["relief", "plane", "plane+", "rotation", "line"]
 
@@ -132,3 +135,10 @@ def make_pair(
         project(control, np.eye(3), np.zeros(3)),
         project(control, R, t),
     )
+
+
+def run(
+    name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None
+) -> FundamentalEstimate:
+    """Run an estimator on all of the matches as they are."""
+    return estimate_from_matches([matches], estimator=name, seed=seed, hand_over=HandOver(), settings=settings)

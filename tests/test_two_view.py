@@ -19,13 +19,13 @@ from epiprior.ranking.models import load_model
 from epiprior.two_view import estimate_fundamental
 from epiprior.types import MatchSet, RankedMatches, Status
 from epiprior.verification.cascade import CascadeRule
-from epiprior.verification.plausibility import camera_plausibility
+from epiprior.verification.measures import camera_plausibility
 from pictures import relief_pair, texture
 from synthetic import make_pair
 from tiny_model import make_model
 
-KEEP_ALL = CascadeRule(min_spread=0, min_plausibility=0.0)
-KEEP_NONE = CascadeRule(min_spread=10**6, min_plausibility=1.0)
+KEEP_ALL = CascadeRule(min_plausibility=0.0)
+KEEP_NONE = CascadeRule(min_plausibility=1.0)
 
 
 def ranked_of(matches: MatchSet, standard: MatchSet) -> RankedMatches:

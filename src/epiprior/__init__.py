@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         OutputError,
         SettingsError,
     )
-    from epiprior.estimators import estimators
+    from epiprior.estimators import list_estimators
     from epiprior.estimators.handover import HandOver
     from epiprior.features.detect import FeatureSettings
     from epiprior.matching.baselines import generalized_matches, snn_matches, standard_matches
@@ -58,6 +58,7 @@ _HOMES = {
     "Status": "types",
     "estimate_fundamental": "two_view",
     "generalized_matches": "matching.baselines",
+    "list_estimators": "estimators",
     "load_model": "ranking.models",
     "rank_matches": "rank",
     "snn_matches": "matching.baselines",
@@ -83,8 +84,8 @@ __all__ = [
     "Status",
     "__version__",
     "estimate_fundamental",
-    "estimators",
     "generalized_matches",
+    "list_estimators",
     "load_model",
     "rank_matches",
     "snn_matches",
@@ -93,8 +94,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name == "estimators":  # the package, which lists the estimators when it is called
-        return import_module("epiprior.estimators")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -295,7 +295,7 @@ def test_estimators():
     assert "usac" in result.stdout
     rows = {row["name"]: row for row in json.loads(run("estimators", "--json").stdout)}
     assert rows["usac"] == {"name": "usac", "available": True, "status": "available", "licence": "Apache-2.0"}
-    assert set(rows) == set(epiprior.estimators())
+    assert set(rows) == set(epiprior.list_estimators())
     assert all(row["licence"] for row in rows.values())
 
 
@@ -410,9 +410,9 @@ def test_a_good_pair(with_model, photographs, how):
     assert_rows_correspond(printed["F"], [(100, 50), (300, 250)])
 
 
-@pytest.mark.parametrize("name", list(epiprior.estimators()))
+@pytest.mark.parametrize("name", list(epiprior.list_estimators()))
 def test_every_estimator_on_a_good_pair(with_model, photographs, name):
-    state = epiprior.estimators()[name]
+    state = epiprior.list_estimators()[name]
     result = run("estimate", photographs["small1"], photographs["small2"], "--estimator", name, "--json")
     if state != "available":
         assert (result.exit_code, result.stdout) == (2, "")

@@ -187,7 +187,7 @@ def _write_pair(
     ids: tuple[int, int],
     indices: tuple[IntArray, IntArray],
 ) -> None:
-    from epiprior.matching.selection import one_to_one_mask
+    from epiprior.kernels.one_to_one import one_to_one_mask
 
     index1, index2 = indices
     order = np.argsort(~estimate.inliers, kind="stable")
