@@ -191,16 +191,8 @@ def run_pairs(
 ) -> list[RunRecord]:
     """Run every estimator on its inputs of every pair in parallel: one task per pair and estimator.
 
-    Parameters
-    ----------
-    pairs, matched : sequences
-        In one order; the matches of all inputs that are used.
-    inputs : mapping of str to sequence of str
-        For each estimator the inputs that it gets.
-    seeds, hand_overs, truth, measures
-        As for `run_pair`, with the estimator first: ``hand_overs[estimator][input]``.
-    workers, store
-        As for `epiprior_lab.compute.tasks.map_tasks`.
+    `pairs` and `matched` are in one order; other parameters as for `run_pair`, and for
+    `epiprior_lab.compute.tasks.map_tasks`.
     """
     tasks = []
     for pair, matches in zip(pairs, matched, strict=True):
