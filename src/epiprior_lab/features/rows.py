@@ -59,14 +59,9 @@ class PairRows:
     united_labels: BoolArray
 
     @property
-    def labels(self) -> BoolArray:
-        """Which matches of X are right, shape (len(X),)."""
-        return self.united_labels[self.united.union.in_x >= 0]
-
-    @property
     def two_keypoint_labels(self) -> BoolArray:
         """Which 2keypoint matches consist of right matches only, shape (T,)."""
-        labels = self.labels
+        labels = self.united_labels[self.united.union.in_x >= 0]
         return labels[self.two_keypoints.main] & labels[self.two_keypoints.other]
 
 
@@ -78,7 +73,7 @@ def extract_rows(pair: Pair, presets: Sequence[str], labels: LabelSettings | Non
     pair : Pair
         Pair with ground truth.
     presets : sequence of str
-        Names; what they have in common is done once.
+        What they have in common is done once.
     labels : LabelSettings, optional
         When a match counts as right.
 
@@ -135,7 +130,7 @@ def match_rows(rows: PairRows, probability: FloatArray) -> tuple[Float32Array, B
     Parameters
     ----------
     rows : PairRows
-        Of one pair.
+        Of one pair under one roll hypothesis.
     probability : ndarray, shape (T,), float64
         Of each 2keypoint match, from a classifier that was not trained on this scene.
 

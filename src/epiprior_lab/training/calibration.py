@@ -37,17 +37,10 @@ def fit_sigmoid(score: FloatArray, labels: BoolArray, start: tuple[float, float]
 
     Parameters
     ----------
-    score : ndarray, shape (N,), float64
-        Any real score, finite.
-    labels : ndarray, shape (N,), bool
-        Both classes must be present.
+    score, labels : ndarray, shape (N,), float64 and bool
+        Finite scores, and which rows are right; both classes must be present.
     start : tuple of float, optional
         Slope and offset to start from, such as those of similar rows; saves iterations.
-
-    Returns
-    -------
-    a, b : float
-        Slope and offset.
 
     Raises
     ------
@@ -114,21 +107,9 @@ def fit_platt(probability: FloatArray, labels: BoolArray) -> Platt:
 
 
 def cross_calibrate(probability: FloatArray, labels: BoolArray, fold: IntArray) -> FloatArray:
-    """Return out-of-fold probabilities, each calibrated on the rows of the other folds.
+    """Return out-of-fold probabilities, shape (N,), each calibrated on the rows of the other folds.
 
-    Parameters
-    ----------
-    probability : ndarray, shape (N,), float64
-        Out-of-fold probabilities.
-    labels : ndarray, shape (N,), bool
-        Which rows are right.
-    fold : ndarray, shape (N,), int64
-        Fold of each row; at least two folds.
-
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        A fold keeps its probabilities where the rows of the others cannot be calibrated.
+    A fold keeps its probabilities where the rows of the others cannot be calibrated.
     """
     result = np.array(probability, np.float64)
     score, start = _logit(probability), None

@@ -41,10 +41,8 @@ class Refit:
         Its graph.
     importances : ndarray, shape (C,), float64, or None
         Share of each column in the decisions.
-    parity_rows : ndarray, shape (M, C), float32
-        Some of the rows,
-    parity_probability : ndarray, shape (M,), float64
-        and the probabilities that the classifier itself gives them, before export.
+    parity_rows, parity_probability : ndarray, shape (M, C), float32, and (M,), float64
+        Some of the rows, and the probabilities that the classifier itself gives them, before export.
     """
 
     onnx: bytes
@@ -151,17 +149,13 @@ def _vote_tasks(files: Sequence[Path], first: Comparison, params: TrainParams) -
     """Return a task per pair, with the first classifier of the fold that holds out its scene."""
     found = first.grouped[first.exported]
     fold_of_scene = dict(zip(first.data.scene.tolist(), found.fold.tolist(), strict=True))
+    shared = {"platt": first.platt, "preset": first.preset, "most": params.max_rows_per_pair}
     tasks = []
     for file, scene in zip(files, first.data.scenes.tolist(), strict=True):
-        payload = {
-            "file": file,
-            # A scene without a single 2keypoint match is in no fold: no classifier saw it.
-            "classifier": found.classifiers[fold_of_scene.get(scene, 0)],
-            "platt": first.platt,
-            "preset": first.preset,
-            "most": params.max_rows_per_pair,
-            "seed": child_seed(params.seed, "sample", "match", file.stem),
-        }
+        # A scene without a single 2keypoint match is in no fold: no classifier saw it.
+        classifier = found.classifiers[fold_of_scene.get(scene, 0)]
+        seed = child_seed(params.seed, "sample", "match", file.stem)
+        payload = {"file": file, "classifier": classifier, "seed": seed, **shared}
         tasks.append(Task(name=f"{first.preset}-{file.stem}", payload=payload, files=(file,)))
     return tasks
 
@@ -179,29 +173,25 @@ def _compare(data: Mapping[str, TargetRows], params: TrainParams, workers: int, 
     caps = dict.fromkeys(params.families, params.max_rows)
     caps |= {"random-forest": params.max_forest_rows, "svm": params.max_svm_rows}
     exported = {preset: str(getattr(params.exported, preset)) for preset in data}
-    planned: dict[tuple[str, str, str], Task] = {}
+    plan: dict[tuple[str, str, str], dict[str, Any]] = {}
     for preset, rows in data.items():
         file = store / f"{preset}-{rows.target}-rows.npz"
         rows.save(file)
         seed = child_seed(params.seed, rows.target)
         fold_seed = child_seed(seed, "folds")
-        folds: dict[str, IntArray | None] = {
-            "grouped": folds_by_scene(rows.labels, rows.scene, params.folds, fold_seed),
-            "ungrouped": folds_by_row(rows.labels, params.folds, fold_seed),
-            "refit": None,
-        }
+        by_scene = folds_by_scene(rows.labels, rows.scene, params.folds, fold_seed)
         for family in params.families:
-            for kind, fold in folds.items():
-                if kind == "grouped" or family == exported[preset]:
-                    payload: dict[str, Any] = {"file": file, "family": family, "kind": kind, "fold": fold, "seed": seed}
-                    payload |= {"max_rows": caps[family], "keep": family == exported[preset] and kind == "grouped"}
-                    name = f"{preset}-{rows.target}-{family}-{kind}"
-                    planned[preset, family, kind] = Task(name=name, payload=payload, files=(file,))
-    # The slowest first: the last task to end decides how long all take.
-    order = sorted(planned, key=lambda key: list(FAMILIES).index(key[1]))
-    tasks = [planned[key] for key in order]
-    description = f"classifiers of {next(iter(data.values())).target}"
-    results = map_tasks(work, tasks, workers=workers, description=description, store=store)
+            own = {"file": file, "family": family, "seed": seed, "max_rows": caps[family]}
+            keep = family == exported[preset]
+            plan[preset, family, "grouped"] = {**own, "fold": by_scene, "by_scene": True, "keep": keep}
+        own = plan[preset, exported[preset], "grouped"]
+        by_row = folds_by_row(rows.labels, params.folds, fold_seed)
+        plan[preset, exported[preset], "ungrouped"] = {**own, "fold": by_row, "by_scene": False, "keep": False}
+        plan[preset, exported[preset], "refit"] = {**own, "fold": None}
+    target = next(iter(data.values())).target
+    order = sorted(plan, key=lambda key: list(FAMILIES).index(key[1]))
+    tasks = [Task(name="-".join((target, *key)), payload=plan[key], files=(plan[key]["file"],)) for key in order]
+    results = map_tasks(work, tasks, workers=workers, description=f"classifiers of {target}", store=store)
     found = dict(zip(order, results, strict=True))
     return {
         preset: Comparison(
@@ -217,12 +207,11 @@ def _compare(data: Mapping[str, TargetRows], params: TrainParams, workers: int, 
 
 
 def work(
-    *, file: Path, family: str, kind: str, fold: IntArray | None, seed: int, max_rows: int, keep: bool
+    *, file: Path, family: str, seed: int, max_rows: int, fold: IntArray | None, by_scene: bool, keep: bool
 ) -> CrossValidation | Refit:
-    """Do one task of a comparison: a cross-validation over `fold`, or the refit."""
+    """Do one task of a comparison: a cross-validation over `fold`, or without it the refit."""
     data = TargetRows.load(file)
     if fold is not None:
-        by_scene = kind == "grouped"
         return cross_validate(family, data, fold, by_scene=by_scene, seed=seed, max_rows=max_rows, keep=keep)
     fitted = fit(family, data.rows, data.labels, seed=child_seed(seed, family, "final"), max_rows=max_rows)
     sample = data.rows[np.linspace(0, len(data.rows) - 1, min(PARITY_ROWS, len(data.rows))).astype(np.int64)]

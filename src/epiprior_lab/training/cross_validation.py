@@ -65,15 +65,6 @@ class CrossValidation:
 def folds_by_scene(labels: BoolArray, scene: NDArray[np.str_], folds: int, seed: int) -> IntArray:
     """Deal scenes out to folds so that each fold has about the same share of right rows.
 
-    Parameters
-    ----------
-    labels, scene : ndarray, shape (N,)
-        Which rows are right, and the scene of each.
-    folds : int
-        Number of folds, at most the number of scenes.
-    seed : int
-        Of the shuffle.
-
     Returns
     -------
     ndarray, shape (N,), int64
@@ -128,10 +119,8 @@ def cross_validate(
     ----------
     family : str
         Name in `families.FAMILIES`.
-    data : TargetRows
-        Rows, labels and pairs.
-    fold : ndarray, shape (N,), int64
-        Fold of each row.
+    data, fold : TargetRows and ndarray, shape (N,), int64
+        Rows, and the fold of each.
     by_scene : bool
         Whether all rows of a pair are in one fold.
     seed : int
@@ -140,11 +129,6 @@ def cross_validate(
         Train on so many rows at most. All rows are predicted and measured.
     keep : bool
         Whether the folds' classifiers are returned.
-
-    Returns
-    -------
-    CrossValidation
-        The same for the same input, `seconds_per_10000_rows` aside.
     """
     labels, slices = data.labels, data.slices
     probability = np.empty(len(labels))

@@ -23,10 +23,8 @@ def pair_metrics(probability: FloatArray, labels: BoolArray, pairs: Sequence[sli
 
     Parameters
     ----------
-    probability : ndarray, shape (N,), float64
-        What rows are ordered by, within their pair.
-    labels : ndarray, shape (N,), bool
-        Which rows are right.
+    probability, labels : ndarray, shape (N,), float64 and bool
+        What rows are ordered by, within their pair, and which are right.
     pairs : sequence of slice, length P
         Rows of each pair.
     share : ndarray, shape (P,), float64
@@ -75,17 +73,8 @@ def precision_of_top(probability: FloatArray, labels: BoolArray, top: int = TOP)
 def row_metrics(probability: FloatArray, labels: BoolArray) -> dict[str, float]:
     """Return `ROW_METRICS`: accuracy and precision at 0.5 as in the paper, and measures of the probabilities.
 
-    Parameters
-    ----------
-    probability : ndarray, shape (N,), float64
-        In [0, 1]; for the log loss clipped to [1e-7, 1 - 1e-7].
-    labels : ndarray, shape (N,), bool
-        Which rows are right.
-
-    Returns
-    -------
-    dict
-        The precision is NaN if no probability is above 0.5; all are for no rows.
+    For the log loss, probabilities are clipped to [1e-7, 1 - 1e-7]. The precision is NaN if none is above 0.5; all
+    measures are for no rows.
     """
     if not len(labels):
         return dict.fromkeys(ROW_METRICS, float("nan"))

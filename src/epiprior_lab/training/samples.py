@@ -21,10 +21,8 @@ class Sample:
     ----------
     scene, pair : str
         Names; `pair` names the roll hypothesis as well.
-    rows : ndarray, shape (M, C), float32
-        Descriptors.
-    labels : ndarray, shape (M,), bool
-        Which are right.
+    rows, labels : ndarray, shape (M, C), float32, and (M,), bool
+        Descriptors, and which are right.
     size : int
         Rows before sampling.
     """
@@ -55,16 +53,12 @@ class TargetRows:
         ``two_keypoint`` or ``match``.
     columns : tuple of str
         Names of the C columns.
-    rows : ndarray, shape (N, C), float32
-        Descriptors.
-    labels : ndarray, shape (N,), bool
-        Which are right.
+    rows, labels : ndarray, shape (N, C), float32, and (N,), bool
+        Descriptors, and which are right.
     scenes, pairs : ndarray, shape (P,), str
         Scene and name of each pair (under one roll hypothesis), within which rows are ranked.
-    lengths : ndarray, shape (P,), int64
-        Number of rows of each pair.
-    share : ndarray, shape (P,), float64
-        Share of the pair's rows that is here.
+    lengths, share : ndarray, shape (P,), int64 and float64
+        Number of rows of each pair, and which share of its rows that is.
     """
 
     target: str
