@@ -27,7 +27,7 @@ from epiprior_lab.pairsets import (
     write_pair_set,
 )
 from epiprior_lab.pairsets.cameras import CameraError
-from epiprior_lab.pairsets.writer import write_matrix
+from epiprior_lab.pairsets.files import write_matrix
 from epiprior_lab.scenes.photography import encode_jpeg
 from worlds import HEIGHT, WIDTH, camera_at
 

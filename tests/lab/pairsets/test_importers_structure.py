@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from epiprior.errors import SettingsError
+from epiprior.errors import ImageError, SettingsError
 from epiprior.geometry import sampson_distance
 from epiprior_lab.pairsets import Camera, DatasetError, fundamental_from_cameras, read_pair_set, reproject
 from epiprior_lab.pairsets.importers import PairChoice, find_colmap, find_photos, find_strecha, write_found
@@ -221,7 +221,7 @@ def test_too_few_or_broken_photographs_are_named(tmp_path):
         find_photos(tmp_path)
     for name in "abc":
         (tmp_path / f"{name}.jpg").write_bytes(b"no image")
-    with pytest.raises(DatasetError, match=r"a\.jpg: is no image"):
+    with pytest.raises(ImageError, match=r"a\.jpg: not an image"):
         find_photos(tmp_path)
 
 
@@ -260,8 +260,8 @@ def test_strecha(photographs, tmp_path, layout):
 @pytest.mark.parametrize(
     ("line", "text", "message"),
     [
-        (2, "1 2", r"a\.png\.camera, line 2: '1 2', expected 3 finite numbers"),
-        (5, "1 0 x", r"a\.png\.camera, line 5: '1 0 x' are not numbers"),
+        (2, "1 2", r"a\.png\.camera, line 2: 2 numbers, expected 3"),
+        (5, "1 0 x", r"a\.png\.camera, line 5: 'x' is not a finite number"),
         (6, "9 9 9", r"a\.png\.camera: R is not a rotation"),
         (9, "", r"a\.png\.camera: 8 rows, expected 9"),
     ],

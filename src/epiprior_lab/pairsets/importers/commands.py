@@ -64,36 +64,28 @@ def strecha(
     _import(out, max_side, lambda: find_strecha(path, images=images, choice=choice))
 
 
-@app.command()
-def kusvod2(path: PathArgument, out: Out, origin: Origin = 0.0, max_side: MaxSide = 1280) -> None:
-    """Import kusvod2 or homogr: nameA, nameB and name_vpts.mat, control points by hand."""
-    from epiprior_lab.pairsets.importers import find_kusvod2
+def _match_files(name: str, text: str) -> None:
+    @app.command(name, help=text)
+    def command(path: PathArgument, out: Out, origin: Origin = 0.0, max_side: MaxSide = 1280) -> None:
+        from epiprior_lab.pairsets.importers import find_match_files
 
-    _import(out, max_side, lambda: find_kusvod2(path, origin=origin))
-
-
-@app.command()
-def adelaidermf(path: PathArgument, out: Out, origin: Origin = 0.0, max_side: MaxSide = 1280) -> None:
-    """AdelaideRMF: .mat files, or labelled text name_pts.txt beside nameA and nameB."""
-    from epiprior_lab.pairsets.importers import find_adelaidermf
-
-    _import(out, max_side, lambda: find_adelaidermf(path, origin=origin))
+        _import(out, max_side, lambda: find_match_files(name, path, origin=origin))
 
 
-@app.command()
-def oxford(path: PathArgument, out: Out, max_side: MaxSide = 1280) -> None:
-    """Oxford's affine covariant regions: folders with img1 to img6 and H1to2p to H1to6p."""
-    from epiprior_lab.pairsets.importers import find_oxford
-
-    _import(out, max_side, lambda: find_oxford(path))
+_match_files("kusvod2", "kusvod2 or homogr: nameA, nameB and name_vpts.mat, control points by hand.")
+_match_files("adelaidermf", "AdelaideRMF: .mat files, or labelled text name_pts.txt beside nameA and nameB.")
 
 
-@app.command()
-def hpatches(path: PathArgument, out: Out, max_side: MaxSide = 1280) -> None:
-    """HPatches sequences: folders with 1.ppm to 6.ppm and H_1_2 to H_1_6."""
-    from epiprior_lab.pairsets.importers import find_hpatches
+def _sequences(name: str, text: str) -> None:
+    @app.command(name, help=text)
+    def command(path: PathArgument, out: Out, max_side: MaxSide = 1280) -> None:
+        from epiprior_lab.pairsets.importers import find_sequences
 
-    _import(out, max_side, lambda: find_hpatches(path))
+        _import(out, max_side, lambda: find_sequences(name, path))
+
+
+_sequences("oxford", "Oxford's affine covariant regions: folders with img1 to img6 and H1to2p to H1to6p.")
+_sequences("hpatches", "HPatches sequences: folders with 1.ppm to 6.ppm and H_1_2 to H_1_6.")
 
 
 @app.command()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,18 +13,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.errors import OutputError
+from epiprior.features.detect import read_image
 from epiprior.types import FloatArray
 from epiprior_lab.pairsets import Camera, DatasetError, PairSet, image_size, read_pair_set, write_control_points
-from epiprior_lab.pairsets.files import CAMERA_COLUMNS, PAIR_COLUMNS
+from epiprior_lab.pairsets.files import (
+    CAMERA_COLUMNS,
+    PAIR_COLUMNS,
+    camera_row,
+    check_pixels,
+    write_matrix,
+    write_table,
+)
 from epiprior_lab.pairsets.homographies import grid_in_both, transfer
 from epiprior_lab.pairsets.importers.progress import progress_bar
-from epiprior_lab.pairsets.writer import camera_row, write_matrix, write_table
 
 Pixels = NDArray[np.uint8]
 
 DEFAULT_MAX_SIDE = 1280
 _COPIED = {".jpg", ".jpeg", ".png", ".ppm", ".pgm"}
 _JPEG_QUALITY = 95
+_LONGEST_NAME = 250  # bytes, a suffix to come; file systems allow 255
+
+
+def name_of(file: str) -> str:
+    """Return the name of a photograph in the new set: its path without suffix, ``_`` between folders.
+
+    Folders are part of the name because images of several scenes may be called alike.
+    """
+    return Path(file).with_suffix("").as_posix().strip("/").replace("/", "_")
+
+
+def as_text(name: str) -> str:
+    """Return a name as ``pairs.csv``, which is UTF-8, can hold it: bytes that are not UTF-8 are taken for Latin-1."""
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        return os.fsencode(name).decode("latin-1")
+    return name
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,6 +72,9 @@ class Photograph:
     path: Path
     camera: Camera | None = None
     develop: Callable[[], Pixels] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", as_text(self.name))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,6 +105,10 @@ class FoundPair:
     homography: FloatArray | None = None
     fundamental: FloatArray | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("pair_id", "scene"):
+            object.__setattr__(self, name, as_text(getattr(self, name)))
+
     @property
     def gt(self) -> str:
         """The column of ``pairs.csv``."""
@@ -93,6 +126,32 @@ class _Written:
     file: str
     size: tuple[int, int]
     to_new: FloatArray
+
+
+def check_out(out: Path) -> None:
+    """Raise OutputError, before any work is done, where `out` exists."""
+    if out.exists():
+        raise OutputError(f"{out}: exists already; a pair set is not overwritten")
+
+
+def check_photographs(photographs: Iterable[Photograph]) -> None:
+    """Check that photographs have different names and can be decoded, before any work is done.
+
+    Raises
+    ------
+    DatasetError
+        If two files would become one in the new set.
+    ImageError
+        If an image is missing or cannot be decoded.
+    """
+    known: dict[str, Path] = {}
+    for photograph in photographs:
+        name, path = photograph.name, photograph.path
+        if name in known and known[name] != path:
+            raise DatasetError(f"{known[name]} and {path} would both become images/{name}")
+        if name not in known and not path.parent.is_file():  # a part of a file was read with it
+            check_pixels(path)
+        known[name] = path
 
 
 def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAULT_MAX_SIDE) -> PairSet:
@@ -116,13 +175,22 @@ def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAUL
     ------
     OutputError
         If `out` exists or cannot be written.
+    ImageError
+        If an image cannot be read; all are checked before anything is written.
     DatasetError
-        If there is no pair, an image cannot be read, or the set does not pass the check of `read_pair_set`. What was
-        written until then stays in ``<out>.partial``.
+        If there is no pair, a name cannot be that of a file, two photographs have one name, or the set does not pass
+        the check of `read_pair_set`. What was written until then stays in ``<out>.partial``.
     """
     check_out(out)
     if not pairs:
         raise DatasetError(f"{out}: no pair was found")
+    for pair in pairs:
+        if "/" in pair.pair_id or len(pair.pair_id.encode()) > _LONGEST_NAME:
+            raise DatasetError(
+                f"pair {pair.pair_id!r} of {pair.image1.path}: a pair set names files after pairs: at most "
+                f"{_LONGEST_NAME} bytes, no '/'"
+            )
+    check_photographs(photograph for pair in pairs for photograph in (pair.image1, pair.image2))
     partial = out.with_name(out.name + ".partial")
     try:
         shutil.rmtree(partial, ignore_errors=True)
@@ -135,34 +203,28 @@ def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAUL
     return PairSet(name=out.resolve().name, pairs=pair_set.pairs)
 
 
-def check_out(out: Path) -> None:
-    """Raise OutputError, before any work is done, where `out` exists."""
-    if out.exists():
-        raise OutputError(f"{out}: exists already; a pair set is not overwritten")
-
-
 def _write(root: Path, pairs: Sequence[FoundPair], max_side: int) -> None:
     pair_rows: list[list[str]] = []
-    camera_rows: dict[str, list[str]] = {}
-    written: dict[str, tuple[Photograph, _Written]] = {}
+    camera_rows: list[list[str]] = []
+    written: dict[str, _Written] = {}
     with progress_bar("writing pairs", len(pairs)) as advance:
         for pair in pairs:
             for photograph in (pair.image1, pair.image2):
-                known = written.get(photograph.name)
-                if known is None:
-                    new = _write_image(root, photograph, max_side)
-                    written[photograph.name] = photograph, new
-                    if photograph.camera is not None:
-                        camera_rows[new.file] = camera_row(new.file, _scaled(photograph.camera, new))
-                elif known[0].path != photograph.path:
-                    raise DatasetError(f"{known[0].path} and {photograph.path} would both become {known[1].file}")
-            image1, image2 = written[pair.image1.name][1], written[pair.image2.name][1]
+                if photograph.name in written:
+                    continue
+                new = written[photograph.name] = _write_image(root, photograph, max_side)
+                if photograph.camera is not None:
+                    camera = photograph.camera
+                    K, (width, height) = new.to_new @ camera.K, new.size
+                    scaled = Camera(K=K, R=camera.R, t=camera.t, width=width, height=height)
+                    camera_rows.append(camera_row(new.file, scaled))
+            image1, image2 = written[pair.image1.name], written[pair.image2.name]
             _write_truth(root, pair, image1, image2)
             pair_rows.append([pair.pair_id, image1.file, image2.file, pair.gt, pair.scene, pair.difficulty])
             advance()
     write_table(root / "pairs.csv", PAIR_COLUMNS, pair_rows)
     if camera_rows:
-        write_table(root / "cameras.csv", CAMERA_COLUMNS, list(camera_rows.values()))
+        write_table(root / "cameras.csv", CAMERA_COLUMNS, camera_rows)
 
 
 def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
@@ -172,7 +234,7 @@ def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
             file = f"images/{photograph.name}{photograph.path.suffix.lower()}"
             shutil.copyfile(photograph.path, root / file)
             return _Written(file=file, size=(width, height), to_new=np.eye(3))
-        pixels = read_pixels(photograph.path)
+        pixels = read_image(photograph.path, cv2.IMREAD_COLOR)
     else:
         pixels = photograph.develop()
     height, width = pixels.shape[:2]
@@ -185,21 +247,6 @@ def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
     return _Written(file=file, size=size, to_new=shrinking((width, height), size))
 
 
-def read_pixels(path: Path, *, turn: bool = True) -> Pixels:
-    """Return the pixels of an image, BGR, turned as its EXIF data say unless `turn` is False.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read.
-    """
-    flags = cv2.IMREAD_COLOR if turn else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    pixels = cv2.imread(str(path), flags) if path.is_file() else None
-    if pixels is None:
-        raise DatasetError(f"{path}: no image that OpenCV can read")
-    return np.asarray(pixels, dtype=np.uint8)
-
-
 def shrinking(old: tuple[int, int], new: tuple[int, int]) -> FloatArray:
     """Return the 3 x 3 map of pixels when an image of size `old` becomes `new` (width, height).
 
@@ -207,11 +254,6 @@ def shrinking(old: tuple[int, int], new: tuple[int, int]) -> FloatArray:
     """
     x, y = (after / before for before, after in zip(old, new, strict=True))
     return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
-
-
-def _scaled(camera: Camera, new: _Written) -> Camera:
-    K = new.to_new @ camera.K
-    return Camera(K=K, R=camera.R, t=camera.t, width=new.size[0], height=new.size[1])
 
 
 def _write_truth(root: Path, pair: FoundPair, image1: _Written, image2: _Written) -> None:

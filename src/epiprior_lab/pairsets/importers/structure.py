@@ -1,24 +1,26 @@
 """Pairs out of structure from motion: which two photographs, and what they have in common.
 
-COLMAP puts the centre of the top-left pixel at (0.5, 0.5), and a world-to-camera pose as here. That half pixel is
-taken off here.
+COLMAP puts the centre of the top-left pixel at (0.5, 0.5), this library at (0, 0): half a pixel is subtracted.
 """
 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from epiprior.errors import SettingsError
+from epiprior.features.detect import read_image
 from epiprior.types import FloatArray, IntArray
-from epiprior_lab.pairsets import Camera, DatasetError
-from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, Pixels, read_pixels
+from epiprior_lab.pairsets import Camera, DatasetError, image_size
+from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, Pixels
 
 HALF_PIXEL = 0.5
 _MIN_VIEWS = 3
@@ -78,15 +80,32 @@ class View:
     points: FloatArray
 
 
-def views_of(reconstruction: Any, images: Path, *, prefix: str = "") -> list[View]:
-    """Return the registered photographs of a pycolmap reconstruction, undistorted, by name.
+def pairs_of_models(
+    models: Sequence[Any], photograph_of: Callable[[str], Photograph], scene: str, choice: PairChoice
+) -> tuple[list[FoundPair], set[Path]]:
+    """Return the pairs of pycolmap's reconstructions, and the files of the photographs that have a pose in one.
+
+    Several reconstructions are scenes of their own, whose numbers lead the names of their photographs.
+    """
+    pairs: list[FoundPair] = []
+    placed: set[Path] = set()
+    for number, model in enumerate(models):
+        several = len(models) > 1
+        views = views_of(model, photograph_of, prefix=f"{number}_" if several else "")
+        placed |= {view.photograph.path for view in views}
+        pairs += choose_pairs(views, f"{scene}_{number}" if several else scene, choice)
+    return pairs, placed
+
+
+def views_of(reconstruction: Any, photograph_of: Callable[[str], Photograph], *, prefix: str = "") -> list[View]:
+    """Return the photographs of a pycolmap reconstruction that have a pose, undistorted, by name.
 
     Parameters
     ----------
     reconstruction : pycolmap.Reconstruction
         Points count that at least three photographs see with a mean reprojection error up to 2 px.
-    images : Path
-        Folder of the photographs, to which names are relative.
+    photograph_of : callable
+        Returns the photograph of a name in the reconstruction.
     prefix : str
         Leads the names of photographs in the new set.
 
@@ -104,15 +123,18 @@ def views_of(reconstruction: Any, images: Path, *, prefix: str = "") -> list[Vie
     for image in sorted(reconstruction.images.values(), key=lambda image: str(image.name)):
         if not image.has_pose:
             continue
-        path = images / image.name
+        photograph = photograph_of(image.name)
+        path, given = photograph.path, image.camera
         if not path.is_file():
             raise DatasetError(f"no image {path}, which the model names")
+        width, height = image_size(path, turn=False)
+        if (width, height) != (given.width, given.height):
+            raise DatasetError(f"{path}: is {width} x {height}, its camera in the model {given.width} x {given.height}")
         seen = sorted({point.point3D_id for point in image.points2D if point.has_point3D()} & trusted.keys())
         camera, develop = _undistorted(image, path)
-        name = prefix + "_".join(Path(image.name).with_suffix("").parts)
         views.append(
             View(
-                photograph=Photograph(name=name, path=path, camera=camera, develop=develop),
+                photograph=replace(photograph, name=prefix + photograph.name, camera=camera, develop=develop),
                 camera=camera,
                 point_ids=np.array(seen, dtype=np.int64),
                 points=np.array([trusted[point_id] for point_id in seen]).reshape(-1, 3),
@@ -144,10 +166,7 @@ def _develop(path: Path, camera: Any, distorted: bool) -> Pixels:
     """Return the pixels of a photograph without distortion; EXIF rotation is ignored, as COLMAP does."""
     import pycolmap
 
-    pixels = read_pixels(path, turn=False)
-    height, width = pixels.shape[:2]
-    if (width, height) != (camera.width, camera.height):
-        raise DatasetError(f"{path}: is {width} x {height}, its camera in the model {camera.width} x {camera.height}")
+    pixels = read_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if not distorted:
         return pixels
     bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(pixels[:, :, ::-1]))
@@ -170,23 +189,20 @@ def choose_pairs(views: list[View], scene: str, choice: PairChoice) -> list[Foun
         points = _control_points(view1, view2, view1.points[at1], choice.max_points)
         if choice.min_angle_deg <= angle <= choice.max_angle_deg and len(points[0]) >= choice.min_shared:
             text = f"angle={angle:.1f}deg;covis_points={len(shared)};overlap={len(shared) / fewest:.2f}"
-            found.append((angle, _pair(view1, view2, scene, text, points)))
+            pair = FoundPair(
+                pair_id=f"{view1.photograph.name}_{view2.photograph.name}",
+                scene=scene,
+                image1=view1.photograph,
+                image2=view2.photograph,
+                difficulty=text,
+                points=points,
+            )
+            found.append((angle, pair))
     if len(found) > choice.max_pairs:
         by_angle = np.argsort([angle for angle, _ in found], kind="stable")
         kept = by_angle[np.linspace(0, len(found) - 1, choice.max_pairs).round().astype(int)]
         found = [found[index] for index in sorted(kept)]
     return [pair for _, pair in found]
-
-
-def _pair(view1: View, view2: View, scene: str, difficulty: str, points: tuple[FloatArray, FloatArray]) -> FoundPair:
-    return FoundPair(
-        pair_id=f"{view1.photograph.name}_{view2.photograph.name}",
-        scene=scene,
-        image1=view1.photograph,
-        image2=view2.photograph,
-        difficulty=difficulty,
-        points=points,
-    )
 
 
 def _angle_deg(camera1: Camera, camera2: Camera, points: FloatArray) -> float:
