@@ -50,13 +50,7 @@ def read_text(path: Path) -> str:
 
 
 def read_table(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield the line number and the values of each row of a comma-separated table with a header.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read, lacks a column, or a row has another number of values than the header.
-    """
+    """Yield line number and values of each row of a comma-separated table; DatasetError names file and line."""
     reader = csv.reader(io.StringIO(read_text(path), newline=""))
     header = next(reader, [])
     missing = [name for name in columns if name not in header]
@@ -99,12 +93,7 @@ def read_numbers(path: Path, *, header: bool = False) -> list[tuple[int, list[fl
     """Return the finite numbers of each line of a text file that has some, with the number of the line from 1.
 
     Blanks, tabs, commas and semicolons separate; lines that begin with ``#``, ``%`` or ``//`` are comments. With
-    `header`, a first line without any number is passed over.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read or a value is not a finite number.
+    `header`, a first line without any number is passed over. DatasetError names file and line.
     """
     rows: list[tuple[int, list[float]]] = []
     first = True
@@ -130,13 +119,7 @@ def read_numbers(path: Path, *, header: bool = False) -> list[tuple[int, list[fl
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Return the cameras of a ``cameras.csv`` by the image they belong to.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read, an image is there twice, or a camera is impossible.
-    """
+    """Return the cameras of a ``cameras.csv`` by image; DatasetError if one is impossible or there twice."""
     cameras: dict[str, Camera] = {}
     for line, row in read_table(path, CAMERA_COLUMNS):
         width, height, fx, fy, cx, cy, *pose = _numbers(path, line, row, CAMERA_COLUMNS[1:])
@@ -152,13 +135,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def camera_row(image: str, camera: Camera) -> list[str]:
-    """Return a row of ``cameras.csv``; floats as their shortest exact text.
-
-    Raises
-    ------
-    DatasetError
-        If the camera has a skew, for which there is no column.
-    """
+    """Return a row of ``cameras.csv``, floats as their shortest exact text; DatasetError if the camera has a skew."""
     K = camera.K
     if abs(K[0, 1]) > 1e-6 * K[0, 0]:
         raise DatasetError(f"camera of {image!r}: a skew of {K[0, 1]:g} px cannot be written")
@@ -180,13 +157,7 @@ def write_control_points(path: Path, x1: FloatArray, x2: FloatArray) -> None:
 
 
 def read_matrix(path: Path) -> FloatArray:
-    """Return the 3 x 3 matrix of a text file: three rows of three numbers (see `read_numbers`).
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read, a value is not a finite number, or the shape is another.
-    """
+    """Return the 3 x 3 matrix of a text file (see `read_numbers`); DatasetError if the file has another shape."""
     rows = read_numbers(path)
     for line, values in rows:
         if len(values) != 3:
@@ -230,13 +201,7 @@ def encode_depth(depth: Float32Array) -> bytes:
 
 
 def read_depth(path: Path) -> Float32Array:
-    """Return a depth map, shape (height, width); inf where nothing is seen.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read or holds no two-dimensional ``depth``.
-    """
+    """Return a depth map, shape (height, width), inf where nothing is seen; DatasetError if the file holds none."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             depth = np.asarray(archive["depth"], dtype=np.float32)
@@ -253,10 +218,7 @@ def read_depth(path: Path) -> Float32Array:
 def image_size(path: Path, *, turn: bool = True) -> tuple[int, int]:
     """Return width and height of an image from its header, turned as its EXIF data say unless `turn` is False.
 
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read or is no image.
+    DatasetError if the file cannot be read or is no image.
     """
     try:
         with PillowImage.open(path) as image:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.pairsets.files import number, read_text
 from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of
+from epiprior_lab.pairsets.importers.sources import need_folder
 from epiprior_lab.pairsets.importers.structure import PairChoice, pairs_of_models
 
 _NAMES = ("cameras", "images", "points3D")
@@ -20,13 +21,13 @@ _NAMES = ("cameras", "images", "points3D")
 def find_colmap(
     folder: Path, *, images: Path | None = None, scene: str | None = None, choice: PairChoice | None = None
 ) -> list[FoundPair]:
-    """Return pairs of a COLMAP model.
+    """Return pairs of a COLMAP model, or of each model of a workspace, a scene of its own.
 
     Parameters
     ----------
     folder : Path
         A model (``cameras``, ``images`` and ``points3D`` as ``.bin`` or ``.txt``), or a workspace with models in
-        ``sparse/0``, ``sparse/1``, ... or ``sparse``, each of which is a scene.
+        ``sparse/0``, ``sparse/1``, ... or ``sparse``.
     images : Path, optional
         Folder of the photographs; ``images`` in `folder` or in one of the two folders above by default.
     scene : str, optional
@@ -37,16 +38,11 @@ def find_colmap(
     Raises
     ------
     DatasetError
-        If there is no model, it is damaged, a photograph is missing, or no pair is as `choice` asks; the message names
-        the file.
+        If there is no model, it is damaged, a photograph is missing, or no pair is as `choice` asks.
     """
     choice = choice or PairChoice()
-    if not folder.is_dir():
-        raise DatasetError(f"{folder}: no such folder")
-    models = _models(folder)
-    images = images or _images_near(folder)
-    if not images.is_dir():
-        raise DatasetError(f"{images}: no such folder")
+    models = _models(need_folder(folder))
+    images = need_folder(images or _images_near(folder))
     pairs, _ = pairs_of_models(
         [_read(model) for model in models],
         lambda name: Photograph(name=name_of(name), path=images / name),
@@ -60,12 +56,9 @@ def find_colmap(
 
 def _models(folder: Path) -> list[Path]:
     """Return the folders of the models of a workspace; DatasetError if there is none."""
+    forms = [[f"{name}{suffix}" for name in _NAMES] for suffix in (".bin", ".txt")]
     for candidates in ([folder], sorted(folder.glob("sparse/*")), [folder / "sparse"]):
-        models = [
-            path
-            for path in candidates
-            if any(all((path / f"{name}{suffix}").is_file() for name in _NAMES) for suffix in (".bin", ".txt"))
-        ]
+        models = [one for one in candidates if any(all((one / name).is_file() for name in form) for form in forms)]
         if models:
             return models
     raise DatasetError(f"{folder}: no COLMAP model: neither here nor in sparse are {', '.join(_NAMES)} (.bin or .txt)")
@@ -99,88 +92,61 @@ def _read(model: Path) -> Any:
 
 
 def _check_model(folder: Path) -> None:
-    """Walk through ``cameras``, ``images`` and ``points3D``, binary if they are there, else text.
+    """Walk through the files of a model, binary if they are there, else text.
 
-    pycolmap says little of damage, and reads a binary file of cameras that was cut off without an error.
-
-    Raises
-    ------
-    DatasetError
-        If a file ends too early or late, a line of text has too few or wrong values, or the name of an image is one
-        that COLMAP's text files or pycolmap cannot hold; the message names the file, and the line of text.
+    pycolmap ends the process on a file that is cut off, or reads it without an error. DatasetError if a file ends too
+    early or late, a line of text has too few or wrong values, or COLMAP cannot hold the name of an image.
     """
     if (folder / "cameras.bin").is_file():
-        for name, walk in zip(_NAMES, (_cameras, _images, _points), strict=True):
-            _check_binary(folder / f"{name}.bin", walk)
+        for name, after in zip(_NAMES, (_after_camera, _after_image, _after_point), strict=True):
+            _check_binary(folder / f"{name}.bin", after)
         return
     # Values per line, at least: id, model, width, height, parameters; id, pose, camera, name; id, point, colour, error.
     for name, least, numeric in (("cameras", 5, (0, 2, 3)), ("images", 10, range(9)), ("points3D", 8, range(8))):
         _check_text(folder / f"{name}.txt", least, numeric, images=name == "images")
 
 
-class _Walk:
-    """A position in the bytes of a file."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.data, self.at = path, path.read_bytes(), 0
-
-    def take(self, layout: str) -> tuple[Any, ...]:
-        """Return the next values; struct.error at the end of the file."""
-        values = struct.unpack_from("<" + layout, self.data, self.at)
-        self.skip(struct.calcsize("<" + layout))
-        return values
-
-    def skip(self, count: int) -> None:
-        self.at += count
-        if self.at > len(self.data):
-            raise struct.error
-
-
-def _check_binary(path: Path, walk: Callable[[_Walk], None]) -> None:
+def _check_binary(path: Path, after: Callable[[bytes, int], int]) -> None:
     done = 0
     try:
-        position = _Walk(path)
-        (count,) = position.take("Q")
+        data = path.read_bytes()
+        (count,), at = struct.unpack_from("<Q", data), 8
         while done < count:
-            walk(position)
+            at = after(data, at)
+            if at > len(data):
+                raise struct.error
             done += 1
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror}") from error
-    except DatasetError:
-        raise
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{path}: image {done + 1}: pycolmap reads no name that is not UTF-8: {error}") from error
     except (struct.error, ValueError) as error:
         raise DatasetError(f"{path}: damaged: what follows {done} entries is cut off or impossible") from error
-    if position.at != len(position.data):
-        raise DatasetError(f"{path}: damaged: {len(position.data) - position.at} bytes after the last entry")
+    if at != len(data):
+        raise DatasetError(f"{path}: damaged: {len(data) - at} bytes after the last entry")
 
 
-def _cameras(walk: _Walk) -> None:
+def _after_camera(data: bytes, at: int) -> int:
+    """Return where the entry ends: id, model, width, height, parameters."""
     import pycolmap
 
-    _, model, _, _ = walk.take("IiQQ")
-    count = len(pycolmap.Camera.create_from_model_id(1, pycolmap.CameraModelId(model), 1.0, 1, 1).params)
-    walk.skip(8 * count)
+    model = pycolmap.CameraModelId(*struct.unpack_from("<i", data, at + 4))
+    return at + 24 + 8 * len(pycolmap.Camera.create_from_model_id(1, model, 1.0, 1, 1).params)
 
 
-def _images(walk: _Walk) -> None:
-    walk.take("I7dI")
-    name = walk.data[walk.at : walk.data.index(b"\0", walk.at)]
-    try:
-        name.decode()
-    except UnicodeDecodeError as error:
-        raise DatasetError(f"{walk.path}: the name {name!r} of an image is not UTF-8, as pycolmap needs it") from error
-    walk.skip(len(name) + 1)
-    (count,) = walk.take("Q")
-    walk.skip(24 * count)
+def _after_image(data: bytes, at: int) -> int:
+    """Return where the entry ends: id, pose and camera, name, number of points and points."""
+    end = data.index(b"\0", at + 64)
+    data[at + 64 : end].decode()
+    return end + 9 + 24 * int(struct.unpack_from("<Q", data, end + 1)[0])
 
 
-def _points(walk: _Walk) -> None:
-    walk.take("Q3d3Bd")
-    (count,) = walk.take("Q")
-    walk.skip(8 * count)
+def _after_point(data: bytes, at: int) -> int:
+    """Return where the entry ends: id, position, colour and error, length of the track and track."""
+    return at + 51 + 8 * int(struct.unpack_from("<Q", data, at + 43)[0])
 
 
-def _check_text(path: Path, least: int, numeric: tuple[int, ...] | range, *, images: bool) -> None:
+def _check_text(path: Path, least: int, numeric: Iterable[int], *, images: bool) -> None:
     rows = [(line, text) for line, text in enumerate(read_text(path).splitlines(), 1) if not text.startswith("#")]
     if images:
         # Two lines per photograph, the second without points is empty; blank lines before the first do not count.
@@ -188,17 +154,12 @@ def _check_text(path: Path, least: int, numeric: tuple[int, ...] | range, *, ima
         rows = rows[first::2]
     for line, text in rows:
         values = text.split()
-        if not values:
-            continue
-        if len(values) < least:
+        if values and len(values) < least:
             raise DatasetError(f"{path}, line {line}: {len(values)} values, expected {least} or more")
         if images and len(values) > least:
-            name = text.split(maxsplit=least - 1)[-1].strip()
-            raise DatasetError(
-                f"{path}, line {line}: COLMAP's text format holds no name with a blank, such as {name!r}; give the "
-                "model as .bin"
-            )
-        for index in numeric:
+            name = " ".join(values[least - 1 :])
+            raise DatasetError(f"{path}, line {line}: COLMAP's text holds no name with a blank: {name!r}; take .bin")
+        for index in numeric if values else ():
             try:
                 number(values[index])
             except ValueError as error:

@@ -6,7 +6,6 @@ The readme files of these sets do not say where the centre of the top-left pixel
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -30,14 +29,8 @@ _ON_A_PLANE = 0.9
 _PLANE_PX = 3.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Matches:
-    """The content of a file: points (N, 2), labels (N,) where there are wrong matches (0), images where it has them."""
-
-    x1: FloatArray
-    x2: FloatArray
-    labels: NDArray[np.generic] | None = None
-    pixels: tuple[Pixels, Pixels] | None = None
+# Points (N, 2) of both images, labels (N,) where some matches are wrong (0), and the images where the file has them.
+_Matches = tuple[FloatArray, FloatArray, NDArray[np.generic] | None, list[Pixels] | None]
 
 
 def _read_validation(path: Path) -> _Matches:
@@ -46,7 +39,7 @@ def _read_validation(path: Path) -> _Matches:
     if points is None:
         raise DatasetError(f"{path}: holds no validation.pts")
     x1, x2 = matches_of_mat(path, points, "validation.pts")
-    return _Matches(x1=x1, x2=x2)
+    return x1, x2, None, None
 
 
 def _read_labelled_mat(path: Path) -> _Matches:
@@ -59,15 +52,13 @@ def _read_labelled_mat(path: Path) -> _Matches:
     labels = np.ravel(content["label"])
     if len(labels) != len(x1):
         raise DatasetError(f"{path}: {len(labels)} labels for {len(x1)} matches")
-    first, second = (_bgr(path, content[name], name) for name in ("img1", "img2"))
-    return _Matches(x1=x1, x2=x2, labels=labels, pixels=(first, second))
+    return x1, x2, labels, [_bgr(path, content[name], name) for name in ("img1", "img2")]
 
 
 def _read_labelled_text(path: Path) -> _Matches:
     """Rows ``x1 y1 1 x2 y2 1 label``."""
     rows = read_rows(path, (7,))
-    x1, x2 = split_matches(rows)
-    return _Matches(x1=x1, x2=x2, labels=rows[:, 6])
+    return *split_matches(rows), rows[:, 6], None
 
 
 _VALIDATION = "_vpts.mat"
@@ -84,19 +75,8 @@ MATCH_FILES: dict[str, dict[str, Callable[[Path], _Matches]]] = {
 def find_match_files(name: str, folder: Path, *, origin: float = 0.0) -> list[FoundPair]:
     """Return the pairs of a folder that holds one of `MATCH_FILES`.
 
-    Parameters
-    ----------
-    name : str
-        ``kusvod2`` or ``adelaidermf``; a pair that has both ``.mat`` and ``_pts.txt`` is read from ``.mat``.
-    folder : Path
-        Folder of the files.
-    origin : float
-        Coordinate of the centre of the top-left pixel in the files: 1 if they count as MATLAB does.
-
-    Raises
-    ------
-    DatasetError
-        If the folder or an image is missing, a file is damaged, or none of its matches is labelled as right.
+    Pixels in the files are less by `origin` in the pairs: 1 if they count as MATLAB does. DatasetError names a missing
+    folder or image, a damaged file, or one in which no match is labelled as right.
     """
     pairs: dict[str, FoundPair] = {}
     for ending, read in MATCH_FILES[name].items():
@@ -110,33 +90,25 @@ def find_match_files(name: str, folder: Path, *, origin: float = 0.0) -> list[Fo
 
 
 def _pair(path: Path, name: str, found: _Matches, origin: float) -> FoundPair:
-    x1, x2 = found.x1 - origin, found.x2 - origin
+    x1, x2, labels, pixels = found
     difficulty = f"{len(x1)} manual points"
-    if found.labels is not None:
-        right = np.asarray(found.labels, dtype=np.float64) > 0
+    if labels is not None:
+        right = np.asarray(labels, dtype=np.float64) > 0
         if not right.any():
             raise DatasetError(f"{path}: no match is labelled as right")
-        planes = len(np.unique(found.labels[right]))
-        x1, x2 = x1[right], x2[right]
+        x1, x2, planes = x1[right], x2[right], len(np.unique(labels[right]))
         difficulty = f"{right.sum()} labelled matches, {planes} {'plane' if planes == 1 else 'planes'}"
         if _on_one_plane(x1, x2).mean() > _ON_A_PLANE:
             difficulty += "; all on one plane: they decide no F"
-    photographs = []
-    for number, side in enumerate("AB"):
-        source, develop = None, None
-        if found.pixels is None:
-            source = image_of(path.parent, name + side, path)
-        else:
-            source, develop = path / f"img{number + 1}", partial(np.copy, found.pixels[number])
-        photographs.append(Photograph(name=name + side, path=source, develop=develop))
-    return FoundPair(
-        pair_id=name,
-        scene=name,
-        image1=photographs[0],
-        image2=photographs[1],
-        difficulty=difficulty,
-        points=(np.ascontiguousarray(x1), np.ascontiguousarray(x2)),
-    )
+    if pixels is None:
+        image1, image2 = (Photograph(name=name + side, path=image_of(path.parent, name + side, path)) for side in "AB")
+    else:
+        image1, image2 = (
+            Photograph(name=name + side, path=path / side, develop=partial(np.copy, own))
+            for side, own in zip("AB", pixels, strict=True)
+        )
+    points = np.ascontiguousarray(x1 - origin), np.ascontiguousarray(x2 - origin)
+    return FoundPair(pair_id=name, scene=name, image1=image1, image2=image2, difficulty=difficulty, points=points)
 
 
 def _on_one_plane(x1: FloatArray, x2: FloatArray) -> BoolArray:

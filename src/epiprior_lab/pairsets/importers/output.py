@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -63,7 +64,7 @@ class Photograph:
     path : Path
         Where it comes from.
     camera : Camera, optional
-        Of the pixels as they are before they are made smaller.
+        Of the pixels before they are made smaller.
     develop : callable, optional
         Returns the pixels where they are not those of the file: undistorted, or part of a larger file.
     """
@@ -119,9 +120,8 @@ class FoundPair:
         return "control_points" if self.fundamental is None else "fundamental"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Written:
-    """An image in the new set: `to_new` takes its old pixels to the new ones."""
+class _Written(NamedTuple):
+    """An image in the new set: `to_new` (3 x 3) takes its old pixels to the new ones."""
 
     file: str
     size: tuple[int, int]
@@ -135,15 +135,7 @@ def check_out(out: Path) -> None:
 
 
 def check_photographs(photographs: Iterable[Photograph]) -> None:
-    """Check that photographs have different names and can be decoded, before any work is done.
-
-    Raises
-    ------
-    DatasetError
-        If two files would become one in the new set.
-    ImageError
-        If an image is missing or cannot be decoded.
-    """
+    """Raise, before any work is done, where two files have one name in a pair set or an image cannot be decoded."""
     known: dict[str, Path] = {}
     for photograph in photographs:
         name, path = photograph.name, photograph.path
@@ -166,20 +158,14 @@ def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAUL
     max_side : int
         Larger images are made smaller, and everything with them, pixels. Smaller ones are copied as they are.
 
-    Returns
-    -------
-    PairSet
-        What was written.
-
     Raises
     ------
     OutputError
         If `out` exists or cannot be written.
-    ImageError
-        If an image cannot be read; all are checked before anything is written.
-    DatasetError
-        If there is no pair, a name cannot be that of a file, two photographs have one name, or the set does not pass
-        the check of `read_pair_set`. What was written until then stays in ``<out>.partial``.
+    DatasetError, ImageError
+        If there is no pair, a name cannot be that of a file, two photographs have one name or one cannot be read, all
+        before anything is written; or if the set does not pass the check of `read_pair_set`. What was written until
+        then stays in ``<out>.partial``.
     """
     check_out(out)
     if not pairs:
@@ -187,8 +173,7 @@ def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAUL
     for pair in pairs:
         if "/" in pair.pair_id or len(pair.pair_id.encode()) > _LONGEST_NAME:
             raise DatasetError(
-                f"pair {pair.pair_id!r} of {pair.image1.path}: a pair set names files after pairs: at most "
-                f"{_LONGEST_NAME} bytes, no '/'"
+                f"pair {pair.pair_id!r}: a pair set has files of this name: no '/', {_LONGEST_NAME} bytes"
             )
     check_photographs(photograph for pair in pairs for photograph in (pair.image1, pair.image2))
     partial = out.with_name(out.name + ".partial")
@@ -233,7 +218,7 @@ def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
         if max(width, height) <= max_side and photograph.path.suffix.lower() in _COPIED:
             file = f"images/{photograph.name}{photograph.path.suffix.lower()}"
             shutil.copyfile(photograph.path, root / file)
-            return _Written(file=file, size=(width, height), to_new=np.eye(3))
+            return _Written(file, (width, height), np.eye(3))
         pixels = read_image(photograph.path, cv2.IMREAD_COLOR)
     else:
         pixels = photograph.develop()
@@ -244,14 +229,11 @@ def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
         pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     file = f"images/{photograph.name}.jpg"
     (root / file).write_bytes(cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes())
-    return _Written(file=file, size=size, to_new=shrinking((width, height), size))
+    return _Written(file, size, shrinking((width, height), size))
 
 
 def shrinking(old: tuple[int, int], new: tuple[int, int]) -> FloatArray:
-    """Return the 3 x 3 map of pixels when an image of size `old` becomes `new` (width, height).
-
-    Corners go to corners, and those lie half a pixel beside the outermost centres.
-    """
+    """Return the 3 x 3 map of pixels when an image of size `old` becomes `new` (width, height): corners to corners."""
     x, y = (after / before for before, after in zip(old, new, strict=True))
     return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
 

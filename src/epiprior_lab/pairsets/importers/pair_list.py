@@ -113,7 +113,7 @@ def _points(files: dict[str, Path], origin: float) -> tuple[FloatArray, FloatArr
 
 
 def find_usac(folder: Path, *, points: Path | None = None, fit: bool = False) -> list[FoundPair]:
-    """Return the pairs of the USAC release, found in all folders below; the id of a pair is its folder's name.
+    """Return the pairs of the USAC release in all folders below; the id of a pair is its folder's name.
 
     Parameters
     ----------
@@ -122,9 +122,8 @@ def find_usac(folder: Path, *, points: Path | None = None, fit: bool = False) ->
     points : Path, optional
         Folder of ``<pair_id>.csv``, control points by hand as ``epiprior-lab label`` writes them.
     fit : bool
-        Where there are no points by hand, take the matches of the release that agree with the F which OpenCV's
-        MAGSAC++ fits to them. Such pairs are called "fitted" in ``difficulty``: an estimator made their ground truth,
-        so they must not decide between estimators.
+        Where there are none, take the matches that agree with the F which OpenCV's MAGSAC++ fits to all. ``difficulty``
+        says "fitted": an estimator made the ground truth, so such pairs must not decide between estimators.
 
     Raises
     ------

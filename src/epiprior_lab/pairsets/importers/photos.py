@@ -10,7 +10,7 @@ from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of
 from epiprior_lab.pairsets.importers.progress import progress_bar
 from epiprior_lab.pairsets.importers.pycolmap_run import Matched, mapping_options, matched
-from epiprior_lab.pairsets.importers.sources import images_of
+from epiprior_lab.pairsets.importers.sources import SUFFIXES, files_of
 from epiprior_lab.pairsets.importers.structure import PairChoice, pairs_of_models
 
 logger = logging.getLogger(__name__)
@@ -22,16 +22,8 @@ def find_photos(folder: Path, *, scene: str | None = None, choice: PairChoice | 
     """Return pairs of photographs whose cameras pycolmap can find.
 
     All pairs of photographs are matched, which suits up to some hundred of them. Photographs that do not fit together
-    give several models, each a scene of its own; those that fit nowhere are left out with a warning.
-
-    Parameters
-    ----------
-    folder : Path
-        The photographs.
-    scene : str, optional
-        Name of the scene; the folder's by default.
-    choice : PairChoice, optional
-        Which pairs.
+    give several models, each a scene of its own (named `scene`, the folder's name by default, and a number); those
+    that fit nowhere are left out with a warning.
 
     Raises
     ------
@@ -45,14 +37,16 @@ def find_photos(folder: Path, *, scene: str | None = None, choice: PairChoice | 
     Ground truth by structure from motion favours pairs that SIFT can link, directly or through others.
     """
     choice = choice or PairChoice()
-    photographs = [Photograph(name=name_of(path.name), path=path) for path in images_of(folder)]
+    photographs = [
+        Photograph(name=name_of(path.name), path=path)
+        for path in files_of(folder, "*")
+        if path.suffix.lower() in SUFFIXES
+    ]
     if len(photographs) < _LEAST:
         raise DatasetError(f"{folder}: {len(photographs)} photographs, expected {_LEAST} or more")
     with matched(photographs) as found:
         models = _map(found)
-        pairs, placed = pairs_of_models(
-            models, found.photographs.__getitem__, scene or folder.resolve().name, choice
-        )
+        pairs, placed = pairs_of_models(models, found.photographs.__getitem__, scene or folder.resolve().name, choice)
     left_out = [photograph.path.name for photograph in photographs if photograph.path not in placed]
     if left_out:
         logger.warning("%s: %d photographs fit nowhere: %s", folder, len(left_out), ", ".join(left_out))

@@ -9,9 +9,8 @@ import contextlib
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.pairsets.importers.output import Photograph, check_photographs
@@ -21,16 +20,10 @@ SEED = 0
 _FEATURES_SIDE = 1600
 
 
-@dataclass(frozen=True, kw_only=True)
-class Matched:
-    """A database of pycolmap with a camera per photograph, and all pairs of them matched.
+class Matched(NamedTuple):
+    """A database of pycolmap with all pairs of photographs matched, a folder of links to them, and one for its files.
 
-    Parameters
-    ----------
-    database, images, scratch : Path
-        The database; a folder of links to the photographs; an empty folder for pycolmap's files.
-    photographs : dict of str to Photograph
-        By the names that the database and the folder of links have for them, in the order of names.
+    The photographs are called by the names that the database and the links have for them.
     """
 
     database: Path
@@ -64,9 +57,7 @@ def matched(photographs: Sequence[Photograph]) -> Iterator[Matched]:
                 (root / "images" / name).symlink_to(photograph.path.resolve())
             except OSError:  # no links here
                 shutil.copyfile(photograph.path, root / "images" / name)
-        found = Matched(
-            database=root / "database.db", images=root / "images", scratch=root / "model", photographs=named
-        )
+        found = Matched(root / "database.db", root / "images", root / "model", named)
         _match(found)
         yield found
 

@@ -50,9 +50,7 @@ def _pair(folder: Path, path: Path, number: int, stem: str) -> FoundPair:
     if H is None:
         raise DatasetError(f"{path}: the matrix is singular")
     scene = folder.resolve().name
-    first, other = (
-        Photograph(name=f"{scene}_{k}", path=image_of(folder, stem.format(k), path)) for k in (1, number)
-    )
+    first, other = (Photograph(name=f"{scene}_{k}", path=image_of(folder, stem.format(k), path)) for k in (1, number))
     return FoundPair(
         pair_id=f"{scene}_1_{number}",
         scene=scene,

@@ -19,36 +19,24 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".ppm", ".pgm", ".bmp", ".tif", ".tiff")
 _APPLE_DOUBLE = "._"  # macOS keeps attributes of a file under its name with this prefix
 
 
-def files_of(folder: Path, pattern: str) -> list[Path]:
-    """Return the files of a folder that match a pattern, by name; ``._*`` of macOS are skipped with one warning.
+def need_folder(path: Path) -> Path:
+    """Return `path`; DatasetError where it is no folder."""
+    if not path.is_dir():
+        raise DatasetError(f"{path}: no such folder")
+    return path
 
-    Raises
-    ------
-    DatasetError
-        If there is no such folder.
-    """
-    if not folder.is_dir():
-        raise DatasetError(f"{folder}: no such folder")
-    found = sorted(path for path in folder.glob(pattern) if path.is_file())
+
+def files_of(folder: Path, pattern: str) -> list[Path]:
+    """Return the files of a folder that match a pattern, by name; ``._*`` of macOS are skipped with one warning."""
+    found = sorted(path for path in need_folder(folder).glob(pattern) if path.is_file())
     kept = [path for path in found if not path.name.startswith(_APPLE_DOUBLE)]
     if len(kept) < len(found):
         logger.warning("%s: %d files ._* skipped: attributes that macOS keeps", folder, len(found) - len(kept))
     return kept
 
 
-def images_of(folder: Path) -> list[Path]:
-    """Return the image files of a folder, by name."""
-    return [path for path in files_of(folder, "*") if path.suffix.lower() in SUFFIXES]
-
-
 def image_of(folder: Path, stem: str, wanted_by: Path) -> Path:
-    """Return the one image ``<stem>.<suffix>`` of a folder, upper or lower case.
-
-    Raises
-    ------
-    DatasetError
-        If there is none or more than one; the message names `wanted_by`, the file that needs it.
-    """
+    """Return the one image ``<stem>.<suffix>`` of a folder; DatasetError names the file that needs it."""
     found = sorted(path for path in folder.iterdir() if path.stem == stem and path.suffix.lower() in SUFFIXES)
     if not found:
         raise DatasetError(f"{wanted_by}: no image {folder / stem} with one of {', '.join(SUFFIXES)}")
@@ -58,21 +46,10 @@ def image_of(folder: Path, stem: str, wanted_by: Path) -> Path:
 
 
 def read_rows(path: Path, widths: tuple[int, ...]) -> FloatArray:
-    """Return a table of numbers in text, shape (N, width); N may be 0.
+    """Return a table of numbers in text, shape (N, width), with one of the `widths`; N may be 0.
 
-    Parameters
-    ----------
-    path : Path
-        As `read_numbers` reads it. A first line without any number is passed over; one with a single whole number
-        counts the rows, as in the files of USAC.
-    widths : tuple of int
-        Numbers of columns that are possible.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read, a value is not a finite number, a row has another number of columns than is
-        possible or than the first row, or the count is wrong.
+    A first line without any number is passed over; one with a single whole number counts the rows, as in the files of
+    USAC. DatasetError if a line is damaged, rows differ in length, or the count is wrong.
     """
     lines = read_numbers(path, header=True)
     if lines and len(lines[0][1]) == 1 and 1 not in widths and lines[0][1][0].is_integer():
@@ -99,13 +76,7 @@ def split_matches(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def read_mat(path: Path) -> dict[str, Any]:
-    """Return the variables of a MATLAB file (before version 7.3); structures are objects with attributes.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read.
-    """
+    """Return the variables of a MATLAB file (before version 7.3); structures are objects with attributes."""
     try:
         return dict(scipy.io.loadmat(path, struct_as_record=False, squeeze_me=True))
     except NotImplementedError as error:
@@ -115,13 +86,7 @@ def read_mat(path: Path) -> dict[str, Any]:
 
 
 def matches_of_mat(path: Path, value: object, name: str) -> tuple[FloatArray, FloatArray]:
-    """Return both points (N, 2) of a matrix of homogeneous points: six rows, those of image 1 first.
-
-    Raises
-    ------
-    DatasetError
-        If it has another shape, a value is not finite or a point lies at infinity.
-    """
+    """Return both points (N, 2), none at infinity, of six rows of homogeneous coordinates, those of image 1 first."""
     try:
         data = np.atleast_2d(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError) as error:

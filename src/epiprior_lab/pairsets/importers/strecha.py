@@ -25,14 +25,7 @@ _WIDTHS = (3, 3, 3, 3, 3, 3, 3, 3, 2)
 
 
 def read_camera(path: Path) -> Camera:
-    """Return the camera of a ``.camera`` file.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read, a row has another number of values, or the camera is impossible; the message names
-        file and line.
-    """
+    """Return the camera of a ``.camera`` file; DatasetError names the file, and the line of a wrong row."""
     lines = read_numbers(path)
     if len(lines) != len(_WIDTHS):
         raise DatasetError(f"{path}: {len(lines)} rows, expected {len(_WIDTHS)}: K, zeros, rotation, centre, size")
@@ -50,14 +43,8 @@ def read_camera(path: Path) -> Camera:
 def find_strecha(folder: Path, *, images: Path | None = None, choice: PairChoice | None = None) -> list[FoundPair]:
     """Return pairs of a scene, or of each scene below a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        ``*.camera`` files; the photographs beside them, or in a folder ``images`` beside theirs.
-    images : Path, optional
-        Folder of the photographs, where there is one scene.
-    choice : PairChoice, optional
-        Which pairs.
+    Photographs are in the folder `images`, else beside the ``*.camera`` files, else in a folder ``images`` beside
+    theirs.
 
     Raises
     ------

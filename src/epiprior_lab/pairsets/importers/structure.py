@@ -43,11 +43,6 @@ class PairChoice:
         Most pairs of a scene, >= 1; where there are more, they are taken evenly over the angles.
     max_points : int
         Most control points of a pair, >= 8.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
     """
 
     min_angle_deg: float = 10.0
@@ -58,11 +53,9 @@ class PairChoice:
     max_points: int = 200
 
     def __post_init__(self) -> None:
-        if not 0 <= self.min_angle_deg < self.max_angle_deg <= 180:
-            raise SettingsError(
-                f"min_angle_deg = {self.min_angle_deg}, max_angle_deg = {self.max_angle_deg}, expected 0 <= min < max "
-                "<= 180"
-            )
+        low, high = self.min_angle_deg, self.max_angle_deg
+        if not 0 <= low < high <= 180:
+            raise SettingsError(f"min_angle_deg = {low}, max_angle_deg = {high}, expected 0 <= min < max <= 180")
         if not 0 <= self.min_overlap <= 1:
             raise SettingsError(f"min_overlap = {self.min_overlap}, expected a number in [0, 1]")
         for name, least in (("min_shared", 8), ("max_pairs", 1), ("max_points", 8)):
@@ -100,14 +93,8 @@ def pairs_of_models(
 def views_of(reconstruction: Any, photograph_of: Callable[[str], Photograph], *, prefix: str = "") -> list[View]:
     """Return the photographs of a pycolmap reconstruction that have a pose, undistorted, by name.
 
-    Parameters
-    ----------
-    reconstruction : pycolmap.Reconstruction
-        Points count that at least three photographs see with a mean reprojection error up to 2 px.
-    photograph_of : callable
-        Returns the photograph of a name in the reconstruction.
-    prefix : str
-        Leads the names of photographs in the new set.
+    Points count that at least three photographs see with a mean reprojection error up to 2 px. `prefix` leads the
+    names of the photographs in the new set.
 
     Raises
     ------
