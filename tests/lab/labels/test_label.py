@@ -345,7 +345,7 @@ def test_what_is_wrong_is_named(images, tmp_path):
         ((tmp_path / "none.png", b, out), ImageError, "no such image file"),
         ((a, text, out), ImageError, "not an image"),
         ((tmp_path / "empty.png", b, out), ImageError, "not an image"),
-        ((tmp_path, b, out), ImageError, "no such image file"),
+        ((tmp_path, b, out), ImageError, "is a folder"),
         ((a, copy, out), ImageError, "the same image"),
         ((a, b, a), OutputError, "unknown suffix"),
         ((a, b, tmp_path / "none" / "points.csv"), OutputError, "there is no folder"),
