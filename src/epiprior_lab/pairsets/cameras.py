@@ -40,8 +40,7 @@ class Camera:
     Raises
     ------
     CameraError
-        If a shape is another, a value is not finite, the focal length or size is not positive, or `R` is no
-        rotation.
+        If a shape is another, a value is not finite, focal length or size is not positive, or `R` is no rotation.
     """
 
     K: FloatArray
@@ -56,10 +55,12 @@ class Camera:
             if value.shape != shape or not np.isfinite(value).all():
                 raise CameraError(f"{name} has shape {value.shape} or a value that is not finite, expected {shape}")
             object.__setattr__(self, name, value)
-        if self.width <= 0 or self.height <= 0:
-            raise CameraError(f"image size {self.width} x {self.height} is not positive")
-        if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
-            raise CameraError(f"focal lengths {self.K[0, 0]}, {self.K[1, 1]} are not positive")
+        for name, values in (
+            ("image size", (self.width, self.height)),
+            ("focal lengths", (self.K[0, 0], self.K[1, 1])),
+        ):
+            if min(values) <= 0:
+                raise CameraError(f"{name} {values[0]} x {values[1]}: not positive")
         deviation = float(np.abs(self.R @ self.R.T - np.eye(3)).max())
         if deviation > _ROTATION_TOLERANCE or np.linalg.det(self.R) < 0:
             raise CameraError(f"R is not a rotation: R R' differs from 1 by {deviation:.2g}")
@@ -183,6 +184,13 @@ def covisible(
     return x1, x2, visible
 
 
+def median_angle_deg(cameras: tuple[Camera, Camera], points: FloatArray) -> float:
+    """Return the median angle between the rays of two cameras to points (N, 3), degrees."""
+    rays = [points - camera.centre for camera in cameras]
+    cosine = (rays[0] * rays[1]).sum(axis=1) / np.prod([np.linalg.norm(ray, axis=1) for ray in rays], axis=0)
+    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+
+
 def view_difference(
     cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array], *, step: int = 4
 ) -> ViewDifference:
@@ -196,9 +204,7 @@ def view_difference(
     if visible.any():
         depth1 = depth_at(depths[0], x1[visible])
         points = cameras[0].back_project(x1[visible], depth1)
-        rays = [points - camera.centre for camera in cameras]
-        cosine = (rays[0] * rays[1]).sum(axis=1) / np.prod([np.linalg.norm(ray, axis=1) for ray in rays], axis=0)
-        angle = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+        angle = median_angle_deg(cameras, points)
         ratio = np.median(depth1 / cameras[1].project(points)[1]) * cameras[1].K[0, 0] / cameras[0].K[0, 0]
         scale = float(max(ratio, 1 / ratio))
     return ViewDifference(angle_deg=angle, overlap=min(parts), scale_ratio=scale, roll_deg=float(roll))

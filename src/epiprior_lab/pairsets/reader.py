@@ -109,22 +109,19 @@ def _pair(
     where: str,
 ) -> Pair:
     """Return the pair of a row, its files checked except depth maps and pixels."""
-    names, gt = (row["image1"], row["image2"]), row["gt"]
+    names, gt, table = (row["image1"], row["image2"]), row["gt"], root / "cameras.csv"
     sizes = []
     for name in names:
-        path, camera = root / name, cameras.get(name)
+        path = root / name
         if not path.is_file():
             raise DatasetError(f"{where}: no image {path}")
-        sizes.append(size_of(path))
-        if gt != "cameras":
-            continue
-        if camera is None:
-            raise DatasetError(f"{where}: {root / 'cameras.csv'} has no camera of {name!r}")
-        if (camera.width, camera.height) != sizes[-1]:
-            raise DatasetError(
-                f"{where}: {path} is {sizes[-1][0]} x {sizes[-1][1]}, its camera in {root / 'cameras.csv'} "
-                f"{camera.width} x {camera.height}"
-            )
+        width, height = size_of(path)
+        sizes.append((width, height))
+        if gt == "cameras" and name not in cameras:
+            raise DatasetError(f"{where}: {table} has no camera of {name!r}")
+        own = (cameras[name].width, cameras[name].height) if gt == "cameras" else (width, height)
+        if own != (width, height):
+            raise DatasetError(f"{where}: {path} is {width} x {height}, its camera in {table} {own[0]} x {own[1]}")
     matrix = root / gt / f"{row['pair_id']}.txt"
     for kind, path in (("control_points", points), ("homography", matrix), ("fundamental", matrix)):
         if gt == kind and not path.is_file():

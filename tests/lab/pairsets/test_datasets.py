@@ -364,6 +364,7 @@ def test_impossible_cameras_are_refused(change, message):
 # --- photographs
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not REAL.is_dir(), reason="the sets of photographs are not beside this checkout")
 @pytest.mark.parametrize("folder", REAL_SETS, ids=lambda path: path.name)
 def test_every_set_of_photographs_is_read(folder):

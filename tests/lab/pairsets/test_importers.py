@@ -1,5 +1,8 @@
 """Importers of published pairs: small samples in the original formats, made here."""
 
+import dataclasses
+import os
+
 import cv2
 import numpy as np
 import pytest
@@ -432,6 +435,30 @@ def test_a_pair_set_is_not_overwritten_and_photographs_do_not_share_a_name(kusvo
         write_found(tmp_path / "set", [pair, same])
     with pytest.raises(DatasetError, match="no pair was found"):
         write_found(tmp_path / "none", [])
+
+
+def test_names_of_any_bytes_are_kept_and_files_of_macos_are_skipped(kusvod2, tmp_path):
+    for ending in ("A.png", "B.png", "_vpts.mat"):
+        (kusvod2 / f"shout{ending}").rename(kusvod2 / os.fsdecode(b"caf\xe9, 1 of 4" + ending.encode()))
+        (kusvod2 / f"._shout{ending}").write_bytes(b"attributes")
+    write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2))
+    (pair,) = read_pair_set(tmp_path / "set").pairs
+    assert (pair.pair_id, pair.image1.name) == ("café, 1 of 4", "café, 1 of 4A.png")
+    assert_points(pair, *matches())
+
+
+def test_images_and_names_are_checked_before_anything_is_written(kusvod2, tmp_path):
+    (pair,) = find_match_files("kusvod2", kusvod2)
+    (tmp_path / "broken.png").write_bytes(pair.image1.path.read_bytes()[:60])
+    broken = Photograph(name="broken", path=tmp_path / "broken.png")
+    for change, kind, message in (
+        ({"image2": broken}, ImageError, r"broken\.png: not an image"),
+        ({"pair_id": "a/b"}, DatasetError, "pair 'a/b'"),
+        ({"pair_id": 200 * "é"}, DatasetError, "250 bytes"),
+    ):
+        with pytest.raises(kind, match=message):
+            write_found(tmp_path / "new", [pair, dataclasses.replace(pair, **change)])
+    assert not list(tmp_path.glob("new*"))
 
 
 # --- commands

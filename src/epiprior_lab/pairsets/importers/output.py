@@ -37,10 +37,7 @@ _LONGEST_NAME = 250  # bytes, a suffix to come; file systems allow 255
 
 
 def name_of(file: str) -> str:
-    """Return the name of a photograph in the new set: its path without suffix, ``_`` between folders.
-
-    Folders are part of the name because images of several scenes may be called alike.
-    """
+    """Return the name of a photograph in the new set: its path without suffix, ``_`` for ``/``: scenes share names."""
     return Path(file).with_suffix("").as_posix().strip("/").replace("/", "_")
 
 
@@ -91,10 +88,9 @@ class FoundPair:
     image1, image2 : Photograph
         Both with cameras or both without.
     points : tuple of ndarray, optional
-        Control points, two arrays of shape (N, 2).
+        Control points, two arrays of shape (N, 2); a homography without any gets a grid of them.
     homography, fundamental : ndarray, shape (3, 3), optional
-        ``x2 ~ H x1``; ``x2' F x1 = 0``. At most one of them, and not with cameras. A homography without control
-        points gets a grid of them.
+        ``x2 ~ H x1``; ``x2' F x1 = 0``. At most one of them, and not with cameras.
     """
 
     pair_id: str

@@ -38,10 +38,7 @@ def find_pairs(
     Parameters
     ----------
     table : Path
-        Comma-separated, with columns ``image1, image2`` and at least one of ``points``, ``homography`` and
-        ``fundamental``: files of text. Optional columns: ``points2`` (points of image 2 in a file of their own),
-        ``pair_id``, ``difficulty``, ``scene`` (by default what `known` says, or the table's name). Files of points
-        have rows ``x1 y1 x2 y2`` or ``x1 y1 1 x2 y2 1``; with ``points2``, rows ``x y`` or ``x y 1`` each.
+        Comma-separated; its columns are in ``docs/pair-sets.md``.
     images, truths : Path, optional
         Folders that the names of images, and of the other files, are relative to; the table's by default.
     origin : float
@@ -115,20 +112,10 @@ def _points(files: dict[str, Path], origin: float) -> tuple[FloatArray, FloatArr
 def find_usac(folder: Path, *, points: Path | None = None, fit: bool = False) -> list[FoundPair]:
     """Return the pairs of the USAC release in all folders below; the id of a pair is its folder's name.
 
-    Parameters
-    ----------
-    folder : Path
-        For example its ``data/fundmatrix``.
-    points : Path, optional
-        Folder of ``<pair_id>.csv``, control points by hand as ``epiprior-lab label`` writes them.
-    fit : bool
-        Where there are none, take the matches that agree with the F which OpenCV's MAGSAC++ fits to all. ``difficulty``
-        says "fitted": an estimator made the ground truth, so such pairs must not decide between estimators.
-
-    Raises
-    ------
-    DatasetError
-        If there is no pair, a file is missing or damaged, or a pair has no control points and `fit` is False.
+    Control points by hand are in the folder `points`, ``<pair_id>.csv``. Where there are none and `fit` is True, they
+    are the matches that agree with the F which OpenCV's MAGSAC++ fits to all; ``difficulty`` says "fitted": an
+    estimator made the ground truth, so such pairs must not decide between estimators. DatasetError if `fit` is False,
+    there is no pair, or a file is missing or damaged.
     """
     pairs = []
     for path in files_of(folder, f"**/{_USAC_MATCHES}"):

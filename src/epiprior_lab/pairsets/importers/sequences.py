@@ -12,7 +12,7 @@ from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.pairsets.files import read_matrix
 from epiprior_lab.pairsets.homographies import normalise_homography
 from epiprior_lab.pairsets.importers.output import FoundPair, Photograph
-from epiprior_lab.pairsets.importers.sources import files_of, image_of
+from epiprior_lab.pairsets.importers.sources import files_of, image_of, need_folder
 
 # The name of a homography, whose group is the number of the other image, and the stem of an image.
 SEQUENCES = {
@@ -27,17 +27,12 @@ _KINDS = {"v_": "viewpoint", "i_": "illumination"}  # the scenes of HPatches
 def find_sequences(name: str, folder: Path) -> list[FoundPair]:
     """Return the pairs of a folder of scenes, or of one scene, in the layout `name` of `SEQUENCES`.
 
-    Raises
-    ------
-    DatasetError
-        If nothing is there, an image is missing, or a homography is damaged; the message names the file and line.
+    DatasetError, with file and line, if nothing is there, an image is missing, or a homography is damaged.
     """
     pattern, stem = SEQUENCES[name]
     pairs = []
-    here = files_of(folder, "*")
-    scenes = [folder, *sorted(path for path in folder.iterdir() if path.is_dir())]
-    for scene in scenes:
-        files = here if scene == folder else files_of(scene, "*")
+    for scene in [folder, *sorted(path for path in need_folder(folder).iterdir() if path.is_dir())]:
+        files = files_of(scene, "*")
         numbered = {int(found.group(1)): path for path in files if (found := re.match(pattern, path.name))}
         pairs += [_pair(scene, path, number, stem) for number, path in sorted(numbered.items())]
     if not pairs:

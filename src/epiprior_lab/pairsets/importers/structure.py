@@ -20,16 +20,18 @@ from epiprior.errors import SettingsError
 from epiprior.features.detect import read_image
 from epiprior.types import FloatArray, IntArray
 from epiprior_lab.pairsets import Camera, DatasetError, image_size
+from epiprior_lab.pairsets.cameras import median_angle_deg
 from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, Pixels
 
 HALF_PIXEL = 0.5
 _MIN_VIEWS = 3
 _MOST_ERROR_PX = 2.0
+_MOST_POINTS = 200
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairChoice:
-    """Which pairs of photographs are taken, and how many control points each gets.
+    """Which pairs of photographs are taken; SettingsError if a value is out of its range.
 
     Parameters
     ----------
@@ -37,28 +39,20 @@ class PairChoice:
         Range of the median angle between the rays to common points, degrees, in [0, 180].
     min_shared : int
         Common points that a pair has at least, >= 8.
-    min_overlap : float
-        Common points divided by the points of the photograph that has fewer, in [0, 1].
     max_pairs : int
         Most pairs of a scene, >= 1; where there are more, they are taken evenly over the angles.
-    max_points : int
-        Most control points of a pair, >= 8.
     """
 
     min_angle_deg: float = 10.0
     max_angle_deg: float = 70.0
     min_shared: int = 12
-    min_overlap: float = 0.0
     max_pairs: int = 60
-    max_points: int = 200
 
     def __post_init__(self) -> None:
         low, high = self.min_angle_deg, self.max_angle_deg
         if not 0 <= low < high <= 180:
             raise SettingsError(f"min_angle_deg = {low}, max_angle_deg = {high}, expected 0 <= min < max <= 180")
-        if not 0 <= self.min_overlap <= 1:
-            raise SettingsError(f"min_overlap = {self.min_overlap}, expected a number in [0, 1]")
-        for name, least in (("min_shared", 8), ("max_pairs", 1), ("max_points", 8)):
+        for name, least in (("min_shared", 8), ("max_pairs", 1)):
             if getattr(self, name) < least:
                 raise SettingsError(f"{name} = {getattr(self, name)}, expected {least} or more")
 
@@ -162,18 +156,15 @@ def _develop(path: Path, camera: Any, distorted: bool) -> Pixels:
 
 
 def choose_pairs(views: list[View], scene: str, choice: PairChoice) -> list[FoundPair]:
-    """Return the pairs of a scene that `choice` asks for, in the order of names.
-
-    Control points are common points as both cameras see them, taken evenly over their ids.
-    """
+    """Return the pairs of a scene that `choice` asks for, in the order of names."""
     found = []
     for view1, view2 in combinations(views, 2):
         shared, at1, _ = np.intersect1d(view1.point_ids, view2.point_ids, return_indices=True)
         fewest = min(len(view1.point_ids), len(view2.point_ids))
-        if len(shared) < choice.min_shared or len(shared) < choice.min_overlap * fewest:
+        if len(shared) < choice.min_shared:
             continue
-        angle = _angle_deg(view1.camera, view2.camera, view1.points[at1])
-        points = _control_points(view1, view2, view1.points[at1], choice.max_points)
+        angle = median_angle_deg((view1.camera, view2.camera), view1.points[at1])
+        points = _control_points(view1, view2, view1.points[at1])
         if choice.min_angle_deg <= angle <= choice.max_angle_deg and len(points[0]) >= choice.min_shared:
             text = f"angle={angle:.1f}deg;covis_points={len(shared)};overlap={len(shared) / fewest:.2f}"
             pair = FoundPair(
@@ -192,21 +183,14 @@ def choose_pairs(views: list[View], scene: str, choice: PairChoice) -> list[Foun
     return [pair for _, pair in found]
 
 
-def _angle_deg(camera1: Camera, camera2: Camera, points: FloatArray) -> float:
-    """Return the median angle between the rays to points, degrees."""
-    rays = [points - camera.centre for camera in (camera1, camera2)]
-    lengths = np.linalg.norm(rays[0], axis=1) * np.linalg.norm(rays[1], axis=1)
-    cosine = (rays[0] * rays[1]).sum(axis=1) / lengths
-    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
-
-
-def _control_points(view1: View, view2: View, points: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """Return where both cameras see the points that lie in both images, at most so many."""
-    x1, _ = view1.camera.project(points)
-    x2, _ = view2.camera.project(points)
+def _control_points(view1: View, view2: View, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where both cameras see the points that lie in both images, at most 200, evenly over their ids."""
     inside = np.ones(len(points), dtype=bool)
-    for x, camera in ((x1, view1.camera), (x2, view2.camera)):
+    seen = []
+    for camera in (view1.camera, view2.camera):
+        x, _ = camera.project(points)
         inside &= ((x >= 0) & (x <= np.array([camera.width - 1.0, camera.height - 1.0]))).all(axis=1)
+        seen.append(x)
     kept = np.flatnonzero(inside)
-    kept = kept[np.linspace(0, len(kept) - 1, min(most, len(kept))).round().astype(int)]
-    return x1[kept], x2[kept]
+    kept = kept[np.linspace(0, len(kept) - 1, min(_MOST_POINTS, len(kept))).round().astype(int)]
+    return seen[0][kept], seen[1][kept]
