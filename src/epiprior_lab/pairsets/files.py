@@ -71,22 +71,21 @@ def write_table(path: Path, columns: tuple[str, ...], rows: Iterable[list[str]])
 
 
 def number(text: str) -> float:
-    """Return the finite number that `text` is; ValueError if it is none."""
-    value = float(text)
-    if not np.isfinite(value):
-        raise ValueError
-    return value
+    """Return the finite number that `text` is, or NaN."""
+    try:
+        value = float(text)
+    except ValueError:
+        return np.nan
+    return value if np.isfinite(value) else np.nan
 
 
 def _numbers(path: Path, line: int, row: dict[str, str], columns: tuple[str, ...]) -> list[float]:
     """Return the finite numbers of some columns of a row."""
-    values = []
-    for name in columns:
-        try:
-            values.append(number(row[name]))
-        except ValueError as error:
-            raise DatasetError(f"{path}, line {line}: {name} = {row[name]!r} is not a finite number") from error
-    return values
+    values = {name: number(row[name]) for name in columns}
+    for name, value in values.items():
+        if np.isnan(value):
+            raise DatasetError(f"{path}, line {line}: {name} = {row[name]!r} is not a finite number")
+    return list(values.values())
 
 
 def read_numbers(path: Path, *, header: bool = False) -> list[tuple[int, list[float]]]:
@@ -96,22 +95,19 @@ def read_numbers(path: Path, *, header: bool = False) -> list[tuple[int, list[fl
     `header`, a first line without any number is passed over. DatasetError names file and line.
     """
     rows: list[tuple[int, list[float]]] = []
-    first = True
     for line, text in enumerate(read_text(path).splitlines(), 1):
         words = text.translate(_SEPARATORS).split()
         if not words or text.lstrip().startswith(_COMMENTS):
             continue
-        values, wrong = [], []
-        for word in words:
-            try:
-                values.append(number(word))
-            except ValueError:
-                wrong.append(word)
-        if wrong and (values or not (header and first)):
-            raise DatasetError(f"{path}, line {line}: {wrong[0]!r} is not a finite number")
-        if values:
-            rows.append((line, values))
-        first = False
+        values = [number(word) for word in words]
+        if header and np.isnan(values).all():
+            header = False
+            continue
+        header = False
+        if np.isnan(values).any():
+            wrong = words[int(np.isnan(values).argmax())]
+            raise DatasetError(f"{path}, line {line}: {wrong!r} is not a finite number")
+        rows.append((line, values))
     return rows
 
 

@@ -83,12 +83,7 @@ def read_pair_set(root: Path | str, control_points: Path | str | None = None) ->
 def check_pair_set(root: Path | str, *, on_pair: Callable[[], None] = lambda: None) -> PairSet:
     """Read a pair set, and then its depth maps and images too; `on_pair` is called after each pair.
 
-    Raises
-    ------
-    DatasetError
-        As from `read_pair_set`, or if a depth map cannot be read.
-    ImageError
-        If an image cannot be decoded.
+    DatasetError as from `read_pair_set`, or if a depth map cannot be read; ImageError if an image cannot be decoded.
     """
     pair_set = read_pair_set(root)
     check_once = functools.cache(check_pixels)

@@ -40,10 +40,7 @@ class PairFiles:
 def write_pair_set(root: Path, pairs: Sequence[PairFiles]) -> None:
     """Write a pair set into the folder `root`, made if absent; equal input gives equal bytes.
 
-    Raises
-    ------
-    DatasetError
-        If there is no pair or a pair id is there twice.
+    DatasetError if there is no pair or a pair id is there twice.
     """
     names = [pair.pair_id for pair in pairs]
     if not names or len(set(names)) < len(names):

@@ -33,12 +33,7 @@ def find_colmap(
     scene : str, optional
         Name of the scene; the workspace's by default.
     choice : PairChoice, optional
-        Which pairs.
-
-    Raises
-    ------
-    DatasetError
-        If there is no model, it is damaged, a photograph is missing, or no pair is as `choice` asks.
+        Which pairs; DatasetError if there is none, a model or photograph is missing, or a file is damaged.
     """
     choice = choice or PairChoice()
     models = _models(need_folder(folder))
@@ -160,7 +155,5 @@ def _check_text(path: Path, least: int, numeric: Iterable[int], *, images: bool)
             name = " ".join(values[least - 1 :])
             raise DatasetError(f"{path}, line {line}: COLMAP's text holds no name with a blank: {name!r}; take .bin")
         for index in numeric if values else ():
-            try:
-                number(values[index])
-            except ValueError as error:
-                raise DatasetError(f"{path}, line {line}: {values[index]!r} is no number") from error
+            if np.isnan(number(values[index])):
+                raise DatasetError(f"{path}, line {line}: {values[index]!r} is no number")

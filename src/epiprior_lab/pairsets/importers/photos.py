@@ -25,16 +25,9 @@ def find_photos(folder: Path, *, scene: str | None = None, choice: PairChoice | 
     give several models, each a scene of its own (named `scene`, the folder's name by default, and a number); those
     that fit nowhere are left out with a warning.
 
-    Raises
-    ------
-    DatasetError
-        If there are fewer than three photographs, two differ in their suffix only, or no pair is as `choice` asks.
-    ImageError
-        If one cannot be read; all are checked first.
-
-    Notes
-    -----
-    Ground truth by structure from motion favours pairs that SIFT can link, directly or through others.
+    DatasetError if there are fewer than three photographs, two differ in their suffix only, or no pair is as `choice`
+    asks; ImageError if one cannot be read; all are checked first. Ground truth by structure from motion favours pairs
+    that SIFT can link, directly or through others.
     """
     choice = choice or PairChoice()
     photographs = [

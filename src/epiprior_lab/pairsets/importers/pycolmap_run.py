@@ -39,12 +39,8 @@ def matched(photographs: Sequence[Photograph]) -> Iterator[Matched]:
     pycolmap's list of pairs separates names by blanks, and its names are UTF-8; so it sees links that are called by
     number, and files may be called as they like. Its log below errors is silent meanwhile.
 
-    Raises
-    ------
-    DatasetError
-        If two photographs have one name in a pair set, or pycolmap cannot read one or finds nothing in it.
-    ImageError
-        If an image cannot be decoded; all are checked first.
+    DatasetError if two photographs have one name in a pair set, or pycolmap finds nothing in one; ImageError if one
+    cannot be decoded; all are checked first.
     """
     check_photographs(photographs)
     with tempfile.TemporaryDirectory() as scratch, _quiet():

@@ -44,14 +44,8 @@ def find_strecha(folder: Path, *, images: Path | None = None, choice: PairChoice
     """Return pairs of a scene, or of each scene below a folder.
 
     Photographs are in the folder `images`, else beside the ``*.camera`` files, else in a folder ``images`` beside
-    theirs.
-
-    Raises
-    ------
-    DatasetError
-        If there is no camera file, one is damaged, or a photograph is missing or has another size.
-    ImageError
-        If a photograph cannot be read; all of a scene are checked first.
+    theirs. DatasetError if there is no camera file, one is damaged, or a photograph is missing or has another size;
+    ImageError if one cannot be read; all of a scene are checked first.
     """
     choice = choice or PairChoice()
     files: dict[Path, list[Path]] = {}

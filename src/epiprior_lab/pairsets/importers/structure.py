@@ -88,12 +88,8 @@ def views_of(reconstruction: Any, photograph_of: Callable[[str], Photograph], *,
     """Return the photographs of a pycolmap reconstruction that have a pose, undistorted, by name.
 
     Points count that at least three photographs see with a mean reprojection error up to 2 px. `prefix` leads the
-    names of the photographs in the new set.
-
-    Raises
-    ------
-    DatasetError
-        If a photograph is missing, has another size than its camera, or its camera has no undistorted form.
+    names of the photographs in the new set. DatasetError if a photograph is missing, has another size than its camera,
+    or its camera has no undistorted form.
     """
     trusted = {
         point_id: point.xyz
