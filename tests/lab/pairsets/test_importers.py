@@ -75,37 +75,28 @@ def kusvod2(tmp_path):
 
 def test_kusvod2(kusvod2, tmp_path):
     (pair,) = write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2)).pairs
-    assert (pair.pair_id, pair.scene, pair.difficulty, pair.truth) == (
-        "shout",
-        "shout",
-        "30 manual points",
-        "epipolar",
-    )
+    assert [pair.pair_id, pair.scene, pair.difficulty, pair.truth] == 2 * ["shout"] + ["30 manual points", "epipolar"]
     assert_points(read_pair_set(tmp_path / "set").pairs[0], *matches())
     assert (tmp_path / "set/images/shoutA.png").read_bytes() == (kusvod2 / "shoutA.png").read_bytes()
-
-
-def test_kusvod2_with_coordinates_from_one(kusvod2, tmp_path):
-    write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2, origin=1))
-    assert_points(read_pair_set(tmp_path / "set").pairs[0], *(x - 1 for x in matches()))
+    (from_one,) = find_match_files("kusvod2", kusvod2, origin=1)
+    np.testing.assert_allclose(from_one.points, np.array(matches()) - 1)
 
 
 def test_damage_of_kusvod2_is_named(kusvod2):
     path = kusvod2 / "shout_vpts.mat"
-    content = path.read_bytes()
-    path.write_bytes(content[:200])
-    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: cannot be read as a MATLAB file"):
-        find_match_files("kusvod2", kusvod2)
-    scipy.io.savemat(path, {"validation": {"pts": np.ones((4, 9))}})
-    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: validation\.pts has shape \(4, 9\)"):
-        find_match_files("kusvod2", kusvod2)
-    scipy.io.savemat(path, {"other": 1})
-    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: holds no validation\.pts"):
-        find_match_files("kusvod2", kusvod2)
-    path.write_bytes(content)
     (kusvod2 / "shoutB.png").unlink()
-    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: no image .*shoutB"):
-        find_match_files("kusvod2", kusvod2)
+    for damage, message in (
+        (lambda: None, "no image .*shoutB"),
+        (lambda: path.write_bytes(path.read_bytes()[:200]), "cannot be read as a MATLAB file"),
+        (
+            lambda: scipy.io.savemat(path, {"validation": {"pts": np.ones((4, 9))}}),
+            r"validation\.pts has shape \(4, 9\)",
+        ),
+        (lambda: scipy.io.savemat(path, {"other": 1}), r"holds no validation\.pts"),
+    ):
+        damage()
+        with pytest.raises(DatasetError, match=rf"shout_vpts\.mat: {message}"):
+            find_match_files("kusvod2", kusvod2)
 
 
 # --- AdelaideRMF
@@ -208,10 +199,8 @@ def test_sequences_of_a_plane(name, stem, file, tmp_path):
         (scene / file.format(number)).write_text(lines(H * number))
     write_found(tmp_path / "set", find_sequences(name, tmp_path / "all"))
     pairs = read_pair_set(tmp_path / "set").pairs
-    assert [(pair.pair_id, pair.scene, pair.difficulty) for pair in pairs] == [
-        ("v_graf_1_2", "v_graf", "viewpoint"),
-        ("v_graf_1_3", "v_graf", "viewpoint"),
-    ]
+    assert [pair.pair_id for pair in pairs] == ["v_graf_1_2", "v_graf_1_3"]
+    assert {(pair.scene, pair.difficulty) for pair in pairs} == {("v_graf", "viewpoint")}
     assert len(list((tmp_path / "set/images").iterdir())) == 3
     pair = pairs[0]
     assert pair.truth == "plane"
@@ -312,10 +301,7 @@ def listed(tmp_path):
 def test_lists_of_pairs(listed, tmp_path):
     write_found(tmp_path / "set", find_pairs(listed / "pairs.csv"))
     pairs = read_pair_set(tmp_path / "set").pairs
-    assert [pair.pair_id for pair in pairs] == [
-        "object0041.view01_object0041.view02",
-        "object0041.view01_object0041.view03",
-    ]
+    assert [pair.pair_id for pair in pairs] == [f"object0041.view01_object0041.view0{number}" for number in (2, 3)]
     for pair in pairs:
         assert_points(pair, *matches(12))
 
@@ -369,9 +355,8 @@ def test_points_that_fit_no_given_matrix_are_found_when_the_set_is_written(liste
     (listed / "t.csv").write_text(
         "image1,image2,points,fundamental\nobject0041.view01.png,object0041.view02.png,a.txt,F.txt\n"
     )
-    with pytest.raises(
-        DatasetError, match=r"pairs\.csv, line 2: the F .*view02\.txt of pair .* does not fit .*view02\.csv"
-    ):
+    message = r"pairs\.csv, line 2: the F .*view02\.txt of pair .* does not fit .*view02\.csv"
+    with pytest.raises(DatasetError, match=message):
         write_found(tmp_path / "set", find_pairs(listed / "t.csv"))
     assert not (tmp_path / "set").exists()
 
@@ -401,14 +386,8 @@ def test_smaller_images_take_everything_with_them(tmp_path):
     large1 = transfer(shrinking((320, 240), (640, 480)), x1)
     F = fundamental_from_cameras(*CAMERAS)
     grow = np.linalg.inv(shrinking((320, 240), (640, 480)))
-    pair = FoundPair(
-        pair_id="p",
-        scene="s",
-        image1=Photograph(name="a", path=tmp_path / "a.png"),
-        image2=Photograph(name="b", path=tmp_path / "b.png"),
-        points=(large1, x2),
-        fundamental=F @ grow,
-    )
+    images = {f"image{k}": Photograph(name=name, path=tmp_path / f"{name}.png") for k, name in ((1, "a"), (2, "b"))}
+    pair = FoundPair(pair_id="p", scene="s", **images, points=(large1, x2), fundamental=F @ grow)
     write_found(tmp_path / "set", [pair], max_side=320)
     (got,) = read_pair_set(tmp_path / "set").pairs
     assert got.sizes() == ((320, 240), (320, 240))
@@ -417,20 +396,15 @@ def test_smaller_images_take_everything_with_them(tmp_path):
 
 
 def test_shrinking_keeps_corners():
-    to_small = shrinking((640, 480), (320, 120))
-    np.testing.assert_allclose(
-        transfer(to_small, np.array([[-0.5, -0.5], [639.5, 479.5]])), [[-0.5, -0.5], [319.5, 119.5]]
-    )
+    corners = transfer(shrinking((640, 480), (320, 120)), np.array([[-0.5, -0.5], [639.5, 479.5]]))
+    np.testing.assert_allclose(corners, [[-0.5, -0.5], [319.5, 119.5]])
 
 
 def test_a_pair_set_is_not_overwritten_and_photographs_do_not_share_a_name(kusvod2, tmp_path):
     with pytest.raises(OutputError, match="exists already"):
         write_found(kusvod2, find_match_files("kusvod2", kusvod2))
     (pair,) = find_match_files("kusvod2", kusvod2)
-    same = FoundPair(
-        pair_id="other", scene="s", image1=Photograph(name="shoutA", path=pair.image2.path), image2=pair.image2,
-        points=pair.points,
-    )  # fmt: skip
+    same = dataclasses.replace(pair, pair_id="other", image1=Photograph(name="shoutA", path=pair.image2.path))
     with pytest.raises(DatasetError, match=r"shoutA\.png and .*shoutB\.png would both become images/shoutA"):
         write_found(tmp_path / "set", [pair, same])
     with pytest.raises(DatasetError, match="no pair was found"):

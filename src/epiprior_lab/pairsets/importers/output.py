@@ -137,7 +137,7 @@ def check_photographs(photographs: Iterable[Photograph]) -> None:
         name, path = photograph.name, photograph.path
         if name in known and known[name] != path:
             raise DatasetError(f"{known[name]} and {path} would both become images/{name}")
-        if name not in known and not path.parent.is_file():  # a part of a file was read with it
+        if name not in known and (photograph.develop is None or path.is_file()):  # else part of a file, read with it
             check_pixels(path)
         known[name] = path
 
