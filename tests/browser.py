@@ -22,20 +22,10 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 MISSING = "no Chromium here; to run the tests of the page install one: apt-get install chromium"
 _MODIFIERS = {"Alt": 1, "Ctrl": 2, "Shift": 8}
 # As root there is no sandbox; without a wider network nothing may be looked up.
-_OPTIONS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-sync",
-    "--disable-extensions",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-dev-shm-usage",
-    "--hide-scrollbars",
-    "--force-color-profile=srgb",
-    "--remote-debugging-pipe",
+_FLAGS = (
+    "headless no-sandbox disable-gpu disable-quic no-first-run disable-sync disable-extensions hide-scrollbars "
+    "disable-background-networking disable-component-update disable-dev-shm-usage force-color-profile=srgb "
+    "remote-debugging-pipe"
 )
 
 
@@ -56,7 +46,7 @@ class Browser:
         self._read, from_browser = os.pipe()
         # The browser reads file 3 and writes file 4.
         command = f'exec "$@" 3</dev/fd/{to_browser} 4>/dev/fd/{from_browser}'
-        options = [*_OPTIONS, f"--user-data-dir={folder}", "about:blank"]
+        options = [*(f"--{flag}" for flag in _FLAGS.split()), f"--user-data-dir={folder}", "about:blank"]
         self._process = subprocess.Popen(
             ["/bin/sh", "-c", command, "sh", find_browser(), *options],
             pass_fds=(to_browser, from_browser),

@@ -1,4 +1,4 @@
-"""Pinhole cameras without distortion, and what follows from two of them.
+"""Pinhole cameras without distortion, and what two of them see in common.
 
 Conventions: world-to-camera ``X_camera = R X_world + t``, OpenCV axes (x right, y down, z forward), the
 centre of the top-left pixel at (0, 0); depth is z along the optical axis.
@@ -12,9 +12,10 @@ import numpy as np
 
 from epiprior.errors import EpipriorError
 from epiprior.geometry import normalise_fundamental
-from epiprior.types import FloatArray
+from epiprior.types import BoolArray, Float32Array, FloatArray
 
 _ROTATION_TOLERANCE = 1e-3  # files carry six digits
+_SMOOTH_RATIO = 1.3
 
 
 class CameraError(EpipriorError, ValueError):
@@ -39,8 +40,7 @@ class Camera:
     Raises
     ------
     CameraError
-        If a shape is another, a value is not finite, the focal length or size is not positive, or `R` is no
-        rotation.
+        If a shape is another, a value is not finite, focal length or size is not positive, or `R` is no rotation.
     """
 
     K: FloatArray
@@ -55,10 +55,12 @@ class Camera:
             if value.shape != shape or not np.isfinite(value).all():
                 raise CameraError(f"{name} has shape {value.shape} or a value that is not finite, expected {shape}")
             object.__setattr__(self, name, value)
-        if self.width <= 0 or self.height <= 0:
-            raise CameraError(f"image size {self.width} x {self.height} is not positive")
-        if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
-            raise CameraError(f"focal lengths {self.K[0, 0]}, {self.K[1, 1]} are not positive")
+        for name, values in (
+            ("image size", (self.width, self.height)),
+            ("focal lengths", (self.K[0, 0], self.K[1, 1])),
+        ):
+            if min(values) <= 0:
+                raise CameraError(f"{name} {values[0]} x {values[1]}: not positive")
         deviation = float(np.abs(self.R @ self.R.T - np.eye(3)).max())
         if deviation > _ROTATION_TOLERANCE or np.linalg.det(self.R) < 0:
             raise CameraError(f"R is not a rotation: R R' differs from 1 by {deviation:.2g}")
@@ -83,23 +85,9 @@ class Camera:
 
 
 def reproject(camera1: Camera, camera2: Camera, x1: FloatArray, depth1: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where, and at which depth, `camera2` sees what `camera1` sees at `x1`.
+    """Return where, and at which depth, `camera2` sees what `camera1` sees at pixels `x1` (N, 2), `depth1` (N,) away.
 
-    Parameters
-    ----------
-    camera1, camera2 : Camera
-        The two cameras.
-    x1 : ndarray, shape (N, 2), float64
-        Pixels of image 1.
-    depth1 : ndarray, shape (N,), float64
-        Depth at `x1`; finite and positive.
-
-    Returns
-    -------
-    x2 : ndarray, shape (N, 2)
-        Pixels of image 2, maybe outside the image; NaN behind the camera.
-    depth2 : ndarray, shape (N,)
-        Depth in camera 2, maybe negative.
+    The pixels (N, 2) may lie outside the image, and are NaN behind the camera; the depths (N,) may be negative.
     """
     return camera2.project(camera1.back_project(x1, depth1))
 
@@ -117,3 +105,106 @@ def fundamental_from_cameras(camera1: Camera, camera2: Camera) -> FloatArray | N
         return None
     cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
     return normalise_fundamental(np.linalg.inv(camera2.K).T @ cross @ R @ np.linalg.inv(camera1.K))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewDifference:
+    """How two views of a scene differ, over what both see.
+
+    Parameters
+    ----------
+    angle_deg : float
+        Median angle between the two rays to a common point, degrees.
+    overlap : float
+        Part of what one image sees that the other sees too, the smaller of both directions, in [0, 1].
+    scale_ratio : float
+        Median ratio of the sizes of things, larger over smaller, >= 1.
+    roll_deg : float
+        Rotation about the optical axis from image 1 to image 2, degrees in [0, 360), clockwise on the screen.
+    """
+
+    angle_deg: float
+    overlap: float
+    scale_ratio: float
+    roll_deg: float
+
+
+def depth_at(depth: Float32Array, x: FloatArray) -> FloatArray:
+    """Return the depth (N,) seen at points `x` (N, 2) between the pixel centres of a depth map (height, width).
+
+    Inverse depth is interpolated, which is exact on a plane. Where the four pixels around differ by more than 30 %, at
+    an occlusion boundary, the nearest pixel decides. Inf for NaN, outside the image and where nothing is seen.
+    """
+    height, width = depth.shape
+    # Clipped before the conversion to integers, which is undefined for huge numbers and NaN.
+    clipped = np.clip(np.nan_to_num(x, nan=-9.0), -9.0, 1e6)
+    column, row = np.rint(clipped).astype(np.int64).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    values = np.full(len(x), np.inf)
+    values[inside] = depth[row[inside], column[inside]]
+    corner = np.clip(np.floor(clipped).astype(np.int64), 0, (width - 2, height - 2)).T
+    a, b = np.clip(clipped.T - corner, 0.0, 1.0)
+    four = [depth[corner[1] + dy, corner[0] + dx].astype(np.float64) for dy in (0, 1) for dx in (0, 1)]
+    smooth = inside & (np.maximum.reduce(four) < _SMOOTH_RATIO * np.minimum.reduce(four))
+    weights = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+    inverse = sum(weight / value for weight, value in zip(weights, four, strict=True))
+    values[smooth] = 1.0 / np.asarray(inverse)[smooth]
+    return values
+
+
+def covisible(
+    cameras: tuple[Camera, Camera],
+    depths: tuple[Float32Array, Float32Array],
+    *,
+    step: int = 1,
+    depth_tolerance: float = 0.02,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return what the first image sees, where it falls in the second, and whether it is visible there.
+
+    Parameters
+    ----------
+    cameras, depths : tuples
+        Of both images.
+    step : int, default 1
+        Every `step`-th row and column of image 1 is looked at.
+    depth_tolerance : float, default 0.02
+        Relative difference of depth below which a point counts as visible.
+
+    Returns
+    -------
+    x1, x2 : ndarray, shape (N, 2)
+        Pixels at which image 1 has a depth, and their reprojections.
+    visible : ndarray, shape (N,), bool
+        True where image 2 sees the same point.
+    """
+    rows, columns = np.nonzero(np.isfinite(depths[0][::step, ::step]))
+    x1 = step * np.column_stack([columns, rows]).astype(np.float64)
+    x2, predicted = reproject(*cameras, x1, depth_at(depths[0], x1))
+    visible = (predicted > 0) & (np.abs(depth_at(depths[1], x2) - predicted) < depth_tolerance * np.abs(predicted))
+    return x1, x2, visible
+
+
+def median_angle_deg(cameras: tuple[Camera, Camera], points: FloatArray) -> float:
+    """Return the median angle between the rays of two cameras to points (N, 3), degrees."""
+    rays = [points - camera.centre for camera in cameras]
+    cosine = (rays[0] * rays[1]).sum(axis=1) / np.prod([np.linalg.norm(ray, axis=1) for ray in rays], axis=0)
+    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+
+
+def view_difference(
+    cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array], *, step: int = 4
+) -> ViewDifference:
+    """Return how two views differ, by every `step`-th row and column; angle and scale are NaN without common points."""
+    x1, _, visible = covisible(cameras, depths, step=step)
+    visible_back = covisible(cameras[::-1], depths[::-1], step=step)[2]
+    parts = [float(v.mean()) if len(v) else 0.0 for v in (visible, visible_back)]
+    rotation = cameras[1].R @ cameras[0].R.T
+    roll = np.degrees(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])) % 360.0
+    angle = scale = np.nan
+    if visible.any():
+        depth1 = depth_at(depths[0], x1[visible])
+        points = cameras[0].back_project(x1[visible], depth1)
+        angle = median_angle_deg(cameras, points)
+        ratio = np.median(depth1 / cameras[1].project(points)[1]) * cameras[1].K[0, 0] / cameras[0].K[0, 0]
+        scale = float(max(ratio, 1 / ratio))
+    return ViewDifference(angle_deg=angle, overlap=min(parts), scale_ratio=scale, roll_deg=float(roll))

@@ -43,16 +43,9 @@ def transfer_distance(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArr
 
 
 def grid_in_both(H: FloatArray, size1: tuple[int, int], size2: tuple[int, int], *, steps: int = 12) -> FloatArray:
-    """Return the points (N, 2) of a grid over image 1 that `H` takes into image 2.
+    """Return those of `steps` x `steps` points (N, 2) over image 1 that an invertible `H` takes into image 2.
 
-    Parameters
-    ----------
-    H : ndarray, shape (3, 3)
-        Invertible.
-    size1, size2 : tuple of int
-        (width, height), pixels.
-    steps : int, default 12
-        Points per row and column.
+    Sizes are (width, height), pixels.
     """
     x, y = (axis.ravel() for axis in np.meshgrid(*((np.arange(steps) + 0.5) / steps * side - 0.5 for side in size1)))
     x1 = np.column_stack([x, y])

@@ -1,6 +1,6 @@
 """The pair sets that this project knows by name, whether somebody has them here or not.
 
-Names are folder names. The paper's sets cannot be passed on by us; ``docs/paper-sets.md`` says what is known of them.
+Names are folder names. The paper's sets cannot be passed on by us; ``docs/pair-sets.md`` says what is known of them.
 """
 
 from __future__ import annotations
@@ -16,10 +16,8 @@ class KnownSet:
 
     Parameters
     ----------
-    name : str
-        Name of its folder.
-    title : str
-        Name for tables.
+    name, title : str
+        Name of its folder, and name for tables.
     pairs : int
         Number of its pairs.
     paper : bool
@@ -72,11 +70,5 @@ KNOWN_SETS = (
 
 
 def known_sets(*, paper: bool | None = None) -> tuple[KnownSet, ...]:
-    """Return the known sets in the order of tables: the paper's first.
-
-    Parameters
-    ----------
-    paper : bool, optional
-        Only the sets of the paper, or only the others.
-    """
+    """Return the known sets in the order of tables, the paper's first; with `paper`, only those or only the others."""
     return tuple(known for known in KNOWN_SETS if paper is None or known.paper == paper)

@@ -8,9 +8,8 @@ from pathlib import Path
 from epiprior.geometry import normalise_fundamental
 from epiprior.types import Float32Array, FloatArray
 from epiprior_lab.pairsets.cameras import Camera, fundamental_from_cameras
-from epiprior_lab.pairsets.files import DatasetError, read_control_points, read_depth, read_matrix
+from epiprior_lab.pairsets.files import DatasetError, image_size, read_control_points, read_depth, read_matrix
 from epiprior_lab.pairsets.homographies import normalise_homography
-from epiprior_lab.pairsets.images import image_size
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -19,10 +18,8 @@ class Pair:
 
     Parameters
     ----------
-    pair_id : str
-        Unique within the set.
-    scene : str
-        What splits must not cross.
+    pair_id, scene : str
+        `pair_id` is unique within the set; splits between training and test must not cross a scene.
     image1, image2 : Path
         Image files; they exist.
     camera1, camera2 : Camera or None
@@ -30,9 +27,9 @@ class Pair:
     difficulty : str
         For a reader, for example ``angle=21.5deg;overlap=0.79``.
     control_points_path : Path or None
-        Table of control points; None where the set has none.
+        Table of control points.
     depth_paths : tuple of Path or None
-        Depth maps of both images; None where the set has none.
+        Depth maps of both images.
     homography_path, fundamental_path : Path or None
         Text file of a 3 x 3 matrix, where that is the ground truth.
     """
@@ -67,25 +64,13 @@ class Pair:
         return "epipolar" if self.homography_path is None else "plane"
 
     def sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return (width, height) of both images, from their cameras or headers.
-
-        Raises
-        ------
-        DatasetError
-            If a file is no image.
-        """
+        """Return (width, height) of both images, from their cameras or headers; DatasetError if a file is no image."""
         if self.camera1 is not None and self.camera2 is not None:
             return (self.camera1.width, self.camera1.height), (self.camera2.width, self.camera2.height)
         return image_size(self.image1), image_size(self.image2)
 
     def control_points(self) -> tuple[FloatArray, FloatArray]:
-        """Return the control points, two arrays of shape (N, 2), pixels.
-
-        Raises
-        ------
-        DatasetError
-            If the pair has none, or the file is damaged.
-        """
+        """Return the control points, two arrays (N, 2), pixels; DatasetError without any, or if the file is damaged."""
         if self.control_points_path is None:
             raise DatasetError(f"pair {self.pair_id!r} of {self.image1.parent.parent} has no control points")
         return read_control_points(self.control_points_path)
@@ -93,10 +78,7 @@ class Pair:
     def fundamental(self) -> FloatArray | None:
         """Return F with ``x2' F x1 = 0`` that is given, or from the cameras; None without either or with one centre.
 
-        Raises
-        ------
-        DatasetError
-            If the file of a given F is damaged.
+        DatasetError if the file of a given F is damaged.
         """
         if self.fundamental_path is not None:
             F = normalise_fundamental(read_matrix(self.fundamental_path))
@@ -110,10 +92,7 @@ class Pair:
     def homography(self) -> FloatArray | None:
         """Return H with ``x2 ~ H x1``, of Frobenius norm 1; None where that is not the ground truth.
 
-        Raises
-        ------
-        DatasetError
-            If the file is damaged or the matrix singular.
+        DatasetError if the file is damaged or the matrix singular.
         """
         if self.homography_path is None:
             return None
@@ -125,10 +104,7 @@ class Pair:
     def depths(self) -> tuple[Float32Array, Float32Array] | None:
         """Return both depth maps, (height, width), inf where nothing is; None where the set has none.
 
-        Raises
-        ------
-        DatasetError
-            If a file is damaged or its size is not the camera's.
+        DatasetError if a file is damaged or its size is not the camera's.
         """
         if self.depth_paths is None:
             return None
@@ -141,13 +117,7 @@ class Pair:
         return depths[0], depths[1]
 
     def depth_views(self) -> tuple[tuple[Camera, Camera], tuple[Float32Array, Float32Array]]:
-        """Return both cameras and both depth maps.
-
-        Raises
-        ------
-        DatasetError
-            If the pair has no depth maps or no cameras, or a file is damaged.
-        """
+        """Return both cameras and both depth maps; DatasetError where one is missing or damaged."""
         depths = self.depths()
         if depths is None or self.camera1 is None or self.camera2 is None:
             raise DatasetError(f"pair {self.pair_id!r} of {self.image1.parent.parent} has no depth maps with cameras")

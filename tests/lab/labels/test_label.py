@@ -1,5 +1,6 @@
 """Control points by hand: what the server takes, refuses and writes. The page itself: test_label_page.py."""
 
+import contextlib
 import http.client
 import json
 import os
@@ -118,11 +119,14 @@ def test_a_turned_photograph_is_shown_upright(images, tmp_path):
     assert shown.shape[:2] == (120, 60)
 
 
-def test_a_new_file_has_no_points(server):
+def test_a_new_file_has_no_points_and_one_without_record_is_continued(server):
     state = json.loads(get(server, "state")[1])
     assert state["images"][0] == {"name": "a.png", "width": 120, "height": 60}
     assert state["images"][1] == {"name": "b.png", "width": 100, "height": 80}
     assert (state["file"], state["points"], state["revision"]) == ("points.csv", [], "")
+    x = np.array(POINTS)
+    write_control_points(server.session.out, x[:, :2], x[:, 2:])  # a file without record is continued
+    assert json.loads(get(server, "state")[1])["points"] == POINTS
 
 
 def test_what_is_saved_is_a_control_point_file_and_is_continued(server, images, tmp_path):
@@ -138,17 +142,8 @@ def test_what_is_saved_is_a_control_point_file_and_is_continued(server, images, 
     assert again.state()["points"] == POINTS
     assert again.state()["revision"] == revision
     assert again.count() == 3
-
-
-def test_a_file_without_record_is_continued(images, tmp_path):
-    x = np.array(POINTS)
-    write_control_points(tmp_path / "points.csv", x[:, :2], x[:, 2:])
-    assert LabelSession(*images, tmp_path / "points.csv").state()["points"] == POINTS
-
-
-def test_saving_no_points_is_allowed(server, tmp_path):
-    post(server, "save", {"points": [], "revision": ""})
-    assert (tmp_path / "points.csv").read_text() == "x1,y1,x2,y2\n"
+    post(server, "save", {"points": [], "revision": revision})
+    assert out.read_text() == "x1,y1,x2,y2\n"
 
 
 # --- what is refused
@@ -182,24 +177,26 @@ def test_numbers_that_are_not_finite_are_refused(server, number):
     refused(server, 422 if number == "1e999" else 400, post, "save", body)
 
 
-@pytest.mark.parametrize("body", [b"", b"points", b'{"points": [[1,2,3,4]', b"\xff\xfe{}", b"[" * 100_000])
+@pytest.mark.parametrize("body", [b"", b"points", b'{"points": [[1,2,3,4]', b"\xff\xfe{}", b"[" * 100_000, b"[1]"])
 def test_malformed_json_is_refused(server, body):
-    assert "not JSON" in refused(server, 400, post, "save", body)
+    message = "expected a JSON object" if body == b"[1]" else "not JSON"
+    assert message in refused(server, 400, post, "save", body)
 
 
-def test_json_that_is_no_object_is_refused(server):
-    assert "expected a JSON object" in refused(server, 400, post, "save", POINTS)
+def status_of(server, method, route, **headers):
+    """Return the status of the answer to a request of which only the head is sent."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
+    connection.putrequest(method, urlsplit(server.url).path + route, skip_host="Host" in headers)
+    for name, value in headers.items():
+        connection.putheader(name.replace("_", "-"), value)
+    connection.endheaders()
+    with contextlib.closing(connection):
+        return connection.getresponse().status
 
 
 def test_a_large_body_is_refused_before_it_is_read(server):
-    body = b'{"points": [' + b" " * LARGEST_BODY + b"]}"
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
-    connection.putrequest("POST", urlsplit(server.url).path + "save")
-    connection.putheader("Content-Type", "application/json")
-    connection.putheader("Content-Length", str(len(body)))
-    connection.endheaders()
-    assert connection.getresponse().status == 413  # with no byte of the body sent
-    connection.close()
+    length = str(LARGEST_BODY + 1)
+    assert status_of(server, "POST", "save", Content_Type="application/json", Content_Length=length) == 413
 
 
 def test_a_write_needs_json_a_length_and_no_foreign_origin(server):
@@ -207,12 +204,7 @@ def test_a_write_needs_json_a_length_and_no_foreign_origin(server):
     refused(server, 415, post, "save", good, Content_Type="text/plain")
     assert "another page" in refused(server, 403, post, "save", good, Origin="http://127.0.0.1:1")
     assert "another page" in refused(server, 403, post, "save", good, Origin="null")
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
-    connection.putrequest("POST", urlsplit(server.url).path + "save")
-    connection.putheader("Content-Type", "application/json")
-    connection.endheaders()
-    assert connection.getresponse().status == 411
-    connection.close()
+    assert status_of(server, "POST", "save", Content_Type="application/json") == 411
     assert post(server, "save", good, Origin=f"http://127.0.0.1:{server.port}")["revision"]
 
 
@@ -233,20 +225,15 @@ def test_without_the_token_nothing_is_told_or_taken(server, path):
 def test_a_foreign_name_for_this_address_is_refused(server):
     """As after DNS rebinding: the page's own name made to point to loopback."""
     for host in ("evil.example", f"evil.example:{server.port}", "127.0.0.1:1", ""):
-        connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
-        connection.request("GET", urlsplit(server.url).path + "state", headers={"Host": host})
-        assert connection.getresponse().status == 403
-        connection.close()
+        assert status_of(server, "GET", "state", Host=host) == 403
+    assert status_of(server, "GET", "state", Host=f"localhost:{server.port}") == 200
+    assert server._http.server_address[0] == "127.0.0.1"
 
 
 @pytest.mark.parametrize("route", ["nothing", "image/3", "image/", "../label.py", "page/index.html", "%2e%2e/fit.py"])
 def test_other_addresses_lead_nowhere(server, route):
     refused(server, 404, get, route)
     refused(server, 404, post, route, {})
-
-
-def test_it_listens_on_loopback_alone(server):
-    assert server._http.server_address[0] == "127.0.0.1"
 
 
 def test_a_file_that_somebody_changed_is_not_overwritten(server, tmp_path):
@@ -279,6 +266,7 @@ def test_a_failed_write_leaves_the_old_file(session, monkeypatch, tmp_path):
 
 def test_another_pairs_file_is_kept(session, images, tmp_path):
     session.save(POINTS, "")
+    assert LabelSession(*images, tmp_path / "points.csv", force=True).state()["points"] == POINTS
     third = save(tmp_path / "c.png", texture(100, 80, seed=2))
     out = tmp_path / "points.csv"
     before = out.read_bytes()
@@ -295,11 +283,6 @@ def test_another_pairs_file_is_kept(session, images, tmp_path):
     assert LabelSession(images[0], third, out).state()["points"] == POINTS[:1]
     with pytest.raises(LabelError, match="another pair"):
         LabelSession(*images, out)
-
-
-def test_force_continues_the_pairs_own_file(session, images, tmp_path):
-    session.save(POINTS, "")
-    assert LabelSession(*images, tmp_path / "points.csv", force=True).state()["points"] == POINTS
 
 
 def test_points_outside_the_images_are_another_pairs(images, tmp_path):
@@ -321,12 +304,12 @@ def test_the_pair_set_around_the_file_decides_whose_it_is(images, tmp_path):
     assert LabelSession(*images, out / "q.csv", force=True).state()["points"] == []
 
 
-@pytest.mark.parametrize("record", ["", "{}", '{"image1": 1, "image2": 2}', "[1, 2]"])
-def test_a_damaged_record_is_an_error(session, images, tmp_path, record):
+def test_a_damaged_record_is_an_error(session, images, tmp_path):
     session.save(POINTS, "")
-    (tmp_path / "points.pair.json").write_text(record)
-    with pytest.raises(LabelError, match="cannot be read as the record"):
-        LabelSession(*images, tmp_path / "points.csv")
+    for record in ("", "{}", '{"image1": 1, "image2": 2}', "[1, 2]"):
+        (tmp_path / "points.pair.json").write_text(record)
+        with pytest.raises(LabelError, match="cannot be read as the record"):
+            LabelSession(*images, tmp_path / "points.csv")
 
 
 # --- wrong arguments: one line each
@@ -335,17 +318,16 @@ def test_a_damaged_record_is_an_error(session, images, tmp_path, record):
 def test_what_is_wrong_is_named(images, tmp_path):
     a, b = images
     out = tmp_path / "points.csv"
-    text = tmp_path / "text.jpg"
+    text, copy, empty = tmp_path / "text.jpg", tmp_path / "copy.png", tmp_path / "empty.png"
     text.write_text("no image")
-    (tmp_path / "empty.png").write_bytes(b"")
-    (tmp_path / "broken.csv").write_text("x1,y1,x2,y2\n1,2,three,4\n")
-    copy = tmp_path / "copy.png"
+    empty.write_bytes(b"")
     copy.write_bytes(a.read_bytes())
+    (tmp_path / "broken.csv").write_text("x1,y1,x2,y2\n1,2,three,4\n")
     cases = [
         ((tmp_path / "none.png", b, out), ImageError, "no such image file"),
         ((a, text, out), ImageError, "not an image"),
-        ((tmp_path / "empty.png", b, out), ImageError, "not an image"),
-        ((tmp_path, b, out), ImageError, "no such image file"),
+        ((empty, b, out), ImageError, "not an image"),
+        ((tmp_path, b, out), ImageError, "is a folder"),
         ((a, copy, out), ImageError, "the same image"),
         ((a, b, a), OutputError, "unknown suffix"),
         ((a, b, tmp_path / "none" / "points.csv"), OutputError, "there is no folder"),

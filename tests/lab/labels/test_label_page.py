@@ -17,7 +17,7 @@ from epiprior_lab.pairsets import write_control_points
 from epiprior_lab.pairsets.files import read_control_points
 from pictures import save, texture
 
-pytestmark = pytest.mark.skipif(find_browser() is None, reason=MISSING)
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(find_browser() is None, reason=MISSING)]
 
 READY = "document.body?.dataset.ready === 'yes'"
 SAVED = "document.querySelector('#saved').textContent === 'saved'"
@@ -293,7 +293,7 @@ def test_a_wrong_point_is_marked_and_its_epipolar_line_drawn(browser, hand, serv
     far = "[...document.querySelectorAll('#list li.far .number')].map(cell => cell.textContent)"
     browser.wait(f"{far}.length > 0")
     assert browser.run(far) == ["4"]
-    assert "1 pair far off" in browser.text("#verdict")
+    assert "1 pair far off" in browser.text("#fitted")
     assert float(hand.rows()[3][2].split()[0]) > 15
     assert max(float(row[2].split()[0]) for k, row in enumerate(hand.rows()) if k != 3) < 0.5
 
@@ -319,7 +319,7 @@ def test_a_wrong_point_is_marked_and_its_epipolar_line_drawn(browser, hand, serv
     assert len(line(1)) == 0
     browser.press("#list li:nth-child(4)")
     browser.key("Delete")
-    browser.wait(f"{far}.length === 0 && document.querySelector('#verdict').textContent.startsWith('Residuals')")
+    browser.wait(f"{far}.length === 0 && document.querySelector('#fitted').textContent.startsWith('Residuals')")
 
 
 def test_a_file_that_changed_meanwhile_is_a_question(browser, hand, serve, tmp_path):

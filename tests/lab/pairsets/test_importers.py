@@ -1,12 +1,15 @@
 """Importers of published pairs: small samples in the original formats, made here."""
 
+import dataclasses
+import os
+
 import cv2
 import numpy as np
 import pytest
 import scipy.io
 from typer.testing import CliRunner
 
-from epiprior.errors import EpipriorError, OutputError
+from epiprior.errors import EpipriorError, ImageError, OutputError
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior_lab.cli import app
 from epiprior_lab.labels.ground_truth import label_matches, reference_fundamental
@@ -14,16 +17,14 @@ from epiprior_lab.pairsets import DatasetError, fundamental_from_cameras, known_
 from epiprior_lab.pairsets.importers import (
     FoundPair,
     Photograph,
-    find_adelaidermf,
-    find_hpatches,
-    find_kusvod2,
-    find_oxford,
+    find_match_files,
     find_pairs,
+    find_sequences,
     find_usac,
     write_found,
 )
 from epiprior_lab.pairsets.importers.output import shrinking
-from epiprior_lab.pairsets.importers.text import read_rows
+from epiprior_lab.pairsets.importers.sources import read_rows
 from pictures import save, texture
 from worlds import camera_at
 
@@ -73,38 +74,29 @@ def kusvod2(tmp_path):
 
 
 def test_kusvod2(kusvod2, tmp_path):
-    (pair,) = write_found(tmp_path / "set", find_kusvod2(kusvod2)).pairs
-    assert (pair.pair_id, pair.scene, pair.difficulty, pair.truth) == (
-        "shout",
-        "shout",
-        "30 manual points",
-        "epipolar",
-    )
+    (pair,) = write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2)).pairs
+    assert [pair.pair_id, pair.scene, pair.difficulty, pair.truth] == 2 * ["shout"] + ["30 manual points", "epipolar"]
     assert_points(read_pair_set(tmp_path / "set").pairs[0], *matches())
     assert (tmp_path / "set/images/shoutA.png").read_bytes() == (kusvod2 / "shoutA.png").read_bytes()
-
-
-def test_kusvod2_with_coordinates_from_one(kusvod2, tmp_path):
-    write_found(tmp_path / "set", find_kusvod2(kusvod2, origin=1))
-    assert_points(read_pair_set(tmp_path / "set").pairs[0], *(x - 1 for x in matches()))
+    (from_one,) = find_match_files("kusvod2", kusvod2, origin=1)
+    np.testing.assert_allclose(from_one.points, np.array(matches()) - 1)
 
 
 def test_damage_of_kusvod2_is_named(kusvod2):
     path = kusvod2 / "shout_vpts.mat"
-    content = path.read_bytes()
-    path.write_bytes(content[:200])
-    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: cannot be read as a MATLAB file"):
-        find_kusvod2(kusvod2)
-    scipy.io.savemat(path, {"validation": {"pts": np.ones((4, 9))}})
-    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: validation\.pts has shape \(4, 9\)"):
-        find_kusvod2(kusvod2)
-    scipy.io.savemat(path, {"other": 1})
-    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: holds no validation\.pts"):
-        find_kusvod2(kusvod2)
-    path.write_bytes(content)
     (kusvod2 / "shoutB.png").unlink()
-    with pytest.raises(DatasetError, match=r"shout_vpts\.mat: no image .*shoutB"):
-        find_kusvod2(kusvod2)
+    for damage, message in (
+        (lambda: None, "no image .*shoutB"),
+        (lambda: path.write_bytes(path.read_bytes()[:200]), "cannot be read as a MATLAB file"),
+        (
+            lambda: scipy.io.savemat(path, {"validation": {"pts": np.ones((4, 9))}}),
+            r"validation\.pts has shape \(4, 9\)",
+        ),
+        (lambda: scipy.io.savemat(path, {"other": 1}), r"holds no validation\.pts"),
+    ):
+        damage()
+        with pytest.raises(DatasetError, match=rf"shout_vpts\.mat: {message}"):
+            find_match_files("kusvod2", kusvod2)
 
 
 # --- AdelaideRMF
@@ -127,7 +119,7 @@ def test_adelaidermf_from_mat(tmp_path):
         tmp_path / "mat/hall.mat",
         {"img1": colour, "img2": colour, "data": homogeneous(x1, x2), "score": np.ones((1, 40)), "label": labels},
     )
-    (pair,) = write_found(tmp_path / "set", find_adelaidermf(tmp_path / "mat")).pairs
+    (pair,) = write_found(tmp_path / "set", find_match_files("adelaidermf", tmp_path / "mat")).pairs
     assert (pair.pair_id, pair.difficulty) == ("hall", "30 labelled matches, 2 planes")
     (pair,) = read_pair_set(tmp_path / "set").pairs
     assert_points(pair, x1[labels > 0], x2[labels > 0])
@@ -142,7 +134,7 @@ def test_adelaidermf_from_labelled_text(tmp_path):
     picture(folder / "hallA.png")
     picture(folder / "hallB.png", 1)
     (folder / "hall_pts.txt").write_text(lines(np.vstack([homogeneous(x1, x2), labels]).T))
-    write_found(tmp_path / "set", find_adelaidermf(folder))
+    write_found(tmp_path / "set", find_match_files("adelaidermf", folder))
     (pair,) = read_pair_set(tmp_path / "set").pairs
     assert_points(pair, x1[labels > 0], x2[labels > 0])
     F = fundamental_from_cameras(*CAMERAS)
@@ -155,7 +147,7 @@ def test_matches_of_one_plane_are_called_so(tmp_path):
     picture(folder / "flatA.png")
     picture(folder / "flatB.png", 1)
     (folder / "flat_pts.txt").write_text(lines(np.vstack([homogeneous(x1, transfer(H, x1)), np.ones(30)]).T))
-    (pair,) = find_adelaidermf(folder)
+    (pair,) = find_match_files("adelaidermf", folder)
     assert pair.difficulty == "30 labelled matches, 1 plane; all on one plane: they decide no F"
 
 
@@ -172,7 +164,7 @@ def test_damage_of_labelled_text_is_named(tmp_path, content, message):
     picture(tmp_path / "hallB.png")
     (tmp_path / "hall_pts.txt").write_text(content)
     with pytest.raises(DatasetError, match=message):
-        find_adelaidermf(tmp_path)
+        find_match_files("adelaidermf", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -190,27 +182,25 @@ def test_damage_of_adelaidermf_is_named(tmp_path, change, message):
     content = {"img1": grey, "img2": grey, "data": homogeneous(x1, x2), "label": labels} | change
     scipy.io.savemat(tmp_path / "hall.mat", {name: value for name, value in content.items() if value is not None})
     with pytest.raises(DatasetError, match=message):
-        find_adelaidermf(tmp_path)
+        find_match_files("adelaidermf", tmp_path)
 
 
 # --- homographies
 
 
 @pytest.mark.parametrize(
-    ("find", "stem", "file"), [(find_oxford, "img{}.ppm", "H1to{}p"), (find_hpatches, "{}.ppm", "H_1_{}")]
+    ("name", "stem", "file"), [("oxford", "img{}.ppm", "H1to{}p"), ("hpatches", "{}.ppm", "H_1_{}")]
 )
-def test_sequences_of_a_plane(find, stem, file, tmp_path):
+def test_sequences_of_a_plane(name, stem, file, tmp_path):
     scene = tmp_path / "all/v_graf"
     for number in (1, 2, 3):
         picture(scene / stem.format(number), number)
     for number in (2, 3):
         (scene / file.format(number)).write_text(lines(H * number))
-    write_found(tmp_path / "set", find(tmp_path / "all"))
+    write_found(tmp_path / "set", find_sequences(name, tmp_path / "all"))
     pairs = read_pair_set(tmp_path / "set").pairs
-    assert [(pair.pair_id, pair.scene, pair.difficulty) for pair in pairs] == [
-        ("v_graf_1_2", "v_graf", "viewpoint"),
-        ("v_graf_1_3", "v_graf", "viewpoint"),
-    ]
+    assert [pair.pair_id for pair in pairs] == ["v_graf_1_2", "v_graf_1_3"]
+    assert {(pair.scene, pair.difficulty) for pair in pairs} == {("v_graf", "viewpoint")}
     assert len(list((tmp_path / "set/images").iterdir())) == 3
     pair = pairs[0]
     assert pair.truth == "plane"
@@ -228,21 +218,21 @@ def test_damage_of_homographies_is_named(tmp_path):
     for number in (1, 2):
         picture(tmp_path / f"img{number}.ppm", number)
     for content, message in (
-        ("1 0 0\n0 1\n0 0 1\n", r"H1to2p, line 2: '0 1' are not three finite numbers"),
+        ("1 0 0\n0 1\n0 0 1\n", r"H1to2p, line 2: 2 numbers, expected 3"),
         ("1 0 0\n0 1 0\n", r"H1to2p: 2 rows of a matrix, expected 3"),
         ("1 0 0\n1 0 0\n0 0 1\n", r"H1to2p: the matrix is singular"),
     ):
         (tmp_path / "H1to2p").write_text(content)
         with pytest.raises(DatasetError, match=message):
-            find_oxford(tmp_path)
+            find_sequences("oxford", tmp_path)
     (tmp_path / "H1to2p").write_text("1 0 5000\n0 1 0\n0 0 1\n")
     with pytest.raises(DatasetError, match=r"takes no point of .*img1\.ppm into .*img2\.ppm"):
-        write_found(tmp_path / "set", find_oxford(tmp_path))
+        write_found(tmp_path / "set", find_sequences("oxford", tmp_path))
     (tmp_path / "img2.ppm").unlink()
     with pytest.raises(DatasetError, match=r"H1to2p: no image .*img2"):
-        find_oxford(tmp_path)
+        find_sequences("oxford", tmp_path)
     with pytest.raises(DatasetError, match="no homography with a name"):
-        find_hpatches(tmp_path)
+        find_sequences("hpatches", tmp_path)
 
 
 # --- USAC
@@ -311,10 +301,7 @@ def listed(tmp_path):
 def test_lists_of_pairs(listed, tmp_path):
     write_found(tmp_path / "set", find_pairs(listed / "pairs.csv"))
     pairs = read_pair_set(tmp_path / "set").pairs
-    assert [pair.pair_id for pair in pairs] == [
-        "object0041.view01_object0041.view02",
-        "object0041.view01_object0041.view03",
-    ]
+    assert [pair.pair_id for pair in pairs] == [f"object0041.view01_object0041.view0{number}" for number in (2, 3)]
     for pair in pairs:
         assert_points(pair, *matches(12))
 
@@ -368,9 +355,8 @@ def test_points_that_fit_no_given_matrix_are_found_when_the_set_is_written(liste
     (listed / "t.csv").write_text(
         "image1,image2,points,fundamental\nobject0041.view01.png,object0041.view02.png,a.txt,F.txt\n"
     )
-    with pytest.raises(
-        DatasetError, match=r"pairs\.csv, line 2: the F .*view02\.txt of pair .* does not fit .*view02\.csv"
-    ):
+    message = r"pairs\.csv, line 2: the F .*view02\.txt of pair .* does not fit .*view02\.csv"
+    with pytest.raises(DatasetError, match=message):
         write_found(tmp_path / "set", find_pairs(listed / "t.csv"))
     assert not (tmp_path / "set").exists()
 
@@ -382,9 +368,9 @@ def test_rows_of_text_in_several_spellings(tmp_path):
     path = tmp_path / "t.txt"
     for content in ("x1 y1 x2 y2\n1, 2, 3, 4\n", "# a\n1;2;3;4\n\n", "1\n1\t2\t3\t4\n", "\ufeff1 2 3 4"):
         path.write_text(content)
-        np.testing.assert_array_equal(read_rows(path, (4,))[0], [[1, 2, 3, 4]])
+        np.testing.assert_array_equal(read_rows(path, (4,)), [[1, 2, 3, 4]])
     path.write_text("")
-    assert read_rows(path, (4, 6))[0].shape == (0, 4)
+    assert read_rows(path, (4, 6)).shape == (0, 4)
     path.write_text("1 2 3 4\n1 2 3 4 5 6\n")
     with pytest.raises(DatasetError, match="line 2: 6 numbers, expected 4"):
         read_rows(path, (4, 6))
@@ -400,14 +386,8 @@ def test_smaller_images_take_everything_with_them(tmp_path):
     large1 = transfer(shrinking((320, 240), (640, 480)), x1)
     F = fundamental_from_cameras(*CAMERAS)
     grow = np.linalg.inv(shrinking((320, 240), (640, 480)))
-    pair = FoundPair(
-        pair_id="p",
-        scene="s",
-        image1=Photograph(name="a", path=tmp_path / "a.png"),
-        image2=Photograph(name="b", path=tmp_path / "b.png"),
-        points=(large1, x2),
-        fundamental=F @ grow,
-    )
+    images = {f"image{k}": Photograph(name=name, path=tmp_path / f"{name}.png") for k, name in ((1, "a"), (2, "b"))}
+    pair = FoundPair(pair_id="p", scene="s", **images, points=(large1, x2), fundamental=F @ grow)
     write_found(tmp_path / "set", [pair], max_side=320)
     (got,) = read_pair_set(tmp_path / "set").pairs
     assert got.sizes() == ((320, 240), (320, 240))
@@ -416,24 +396,43 @@ def test_smaller_images_take_everything_with_them(tmp_path):
 
 
 def test_shrinking_keeps_corners():
-    to_small = shrinking((640, 480), (320, 120))
-    np.testing.assert_allclose(
-        transfer(to_small, np.array([[-0.5, -0.5], [639.5, 479.5]])), [[-0.5, -0.5], [319.5, 119.5]]
-    )
+    corners = transfer(shrinking((640, 480), (320, 120)), np.array([[-0.5, -0.5], [639.5, 479.5]]))
+    np.testing.assert_allclose(corners, [[-0.5, -0.5], [319.5, 119.5]])
 
 
 def test_a_pair_set_is_not_overwritten_and_photographs_do_not_share_a_name(kusvod2, tmp_path):
     with pytest.raises(OutputError, match="exists already"):
-        write_found(kusvod2, find_kusvod2(kusvod2))
-    (pair,) = find_kusvod2(kusvod2)
-    same = FoundPair(
-        pair_id="other", scene="s", image1=Photograph(name="shoutA", path=pair.image2.path), image2=pair.image2,
-        points=pair.points,
-    )  # fmt: skip
-    with pytest.raises(DatasetError, match=r"shoutA\.png and .*shoutB\.png would both become images/shoutA\.png"):
+        write_found(kusvod2, find_match_files("kusvod2", kusvod2))
+    (pair,) = find_match_files("kusvod2", kusvod2)
+    same = dataclasses.replace(pair, pair_id="other", image1=Photograph(name="shoutA", path=pair.image2.path))
+    with pytest.raises(DatasetError, match=r"shoutA\.png and .*shoutB\.png would both become images/shoutA"):
         write_found(tmp_path / "set", [pair, same])
     with pytest.raises(DatasetError, match="no pair was found"):
         write_found(tmp_path / "none", [])
+
+
+def test_names_of_any_bytes_are_kept_and_files_of_macos_are_skipped(kusvod2, tmp_path):
+    for ending in ("A.png", "B.png", "_vpts.mat"):
+        (kusvod2 / f"shout{ending}").rename(kusvod2 / os.fsdecode(b"caf\xe9, 1 of 4" + ending.encode()))
+        (kusvod2 / f"._shout{ending}").write_bytes(b"attributes")
+    write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2))
+    (pair,) = read_pair_set(tmp_path / "set").pairs
+    assert (pair.pair_id, pair.image1.name) == ("café, 1 of 4", "café, 1 of 4A.png")
+    assert_points(pair, *matches())
+
+
+def test_images_and_names_are_checked_before_anything_is_written(kusvod2, tmp_path):
+    (pair,) = find_match_files("kusvod2", kusvod2)
+    (tmp_path / "broken.png").write_bytes(pair.image1.path.read_bytes()[:60])
+    broken = Photograph(name="broken", path=tmp_path / "broken.png")
+    for change, kind, message in (
+        ({"image2": broken}, ImageError, r"broken\.png: not an image"),
+        ({"pair_id": "a/b"}, DatasetError, "pair 'a/b'"),
+        ({"pair_id": 200 * "é"}, DatasetError, "250 bytes"),
+    ):
+        with pytest.raises(kind, match=message):
+            write_found(tmp_path / "new", [pair, dataclasses.replace(pair, **change)])
+    assert not list(tmp_path.glob("new*"))
 
 
 # --- commands
@@ -455,10 +454,10 @@ def test_commands(kusvod2, tmp_path):
 
 
 def test_check_set_reads_images_too(kusvod2, tmp_path):
-    write_found(tmp_path / "set", find_kusvod2(kusvod2))
+    write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2))
     image = tmp_path / "set/images/shoutB.png"
     image.write_bytes(image.read_bytes()[:200])
     read_pair_set(tmp_path / "set")
     run = CliRunner().invoke(app, ["check-set", str(tmp_path / "set")])
-    assert isinstance(run.exception, DatasetError)
+    assert isinstance(run.exception, ImageError)
     assert "shoutB.png" in str(run.exception)

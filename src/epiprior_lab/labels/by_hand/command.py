@@ -33,7 +33,7 @@ def label(
         typer.echo(f"Label at {server.url}")
         typer.echo("End with the page's Done, or Ctrl+C here (what the page did not save is lost).")
         if browser:
-            # In a thread: a browser in the terminal would keep this one from ever answering it.
+            # In a thread: a browser in the terminal would block this one, which answers it.
             threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
         try:
             server.serve()

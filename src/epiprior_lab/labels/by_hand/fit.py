@@ -1,7 +1,7 @@
-"""The F of a handful of points clicked by hand, and which of them contradict the others.
+"""The F of a few points clicked by hand, and which of them contradict the others.
 
-A wrong click among few points pulls a least-squares fit onto itself and hides. So F is sought on subsets of
-eight; the points that agree with the best of them are fitted as the study fits control points.
+A wrong click among few points draws a least-squares fit to itself, so that its residual is small. So F is sought on
+subsets of eight; the points that agree with the best of them are fitted as the study fits control points.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from epiprior.verification.degeneracy import fit_homography, homography_distance
 from epiprior_lab.labels.ground_truth import fit_to_points
 
 MIN_JUDGED = 12
-"""So many pairs at least before one is called far off: with fewer, F gives way and the blame falls on others."""
+"""Least number of pairs for one to be called far off: with fewer, F fits a wrong one and others are far off."""
 
 _SAMPLES = 150
 _REFINED = 3
@@ -48,30 +48,16 @@ class PairFit:
 
 
 def fit_pairs(x1: FloatArray, x2: FloatArray, *, click_px: float = 1.0) -> PairFit | None:
-    """Fit F to points clicked by hand; the same points give the same result.
+    """Fit F to points (N, 2) clicked by hand, with a precision of `click_px` pixels; FeatureError for other shapes.
 
-    Parameters
-    ----------
-    x1, x2 : ndarray, shape (N, 2), float64
-        Points, pixels.
-    click_px : float
-        How precisely a hand clicks, pixels, > 0.
-
-    Returns
-    -------
-    PairFit or None
-        None for fewer than eight points, or where they decide nothing (all on one line, or one on another).
-
-    Raises
-    ------
-    FeatureError
-        If a shape is wrong or a value is not finite.
+    None for fewer than eight points, or where they decide nothing (all on one line, or on one place). The same points
+    give the same result.
 
     Notes
     -----
     A point is far off where its distance is above both 3 `click_px` and 6 times the median distance. This is a hint, no
-    verdict: where nearly all points lie on one plane, a wrong one may look like a point off the plane, turn the epipole
-    its way and put the blame on another.
+    proof: where nearly all points lie on one plane, a wrong one may look like a point off the plane, which moves the
+    epipole and makes another point far off.
     """
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
     agreeing = np.ones(len(x1), dtype=bool)

@@ -1,6 +1,6 @@
 """The page and what it asks for, over HTTP, for this machine alone.
 
-Any web page that is open in the same browser could send requests to a server on loopback. Three locks keep them out:
+Any web page that is open in the same browser could send requests to a server on loopback. Three checks refuse them:
 all addresses begin with a secret that only the printed URL holds; the Host header has to be this server's, so that no
 foreign name can be made to point here; and a write has to be JSON, from this origin.
 """
@@ -13,11 +13,10 @@ import json
 import secrets
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
-from typing import Any
+from typing import Any, NamedTuple
 
 from epiprior.errors import EpipriorError, SettingsError
 from epiprior_lab.labels.by_hand.session import ConflictError, LabelSession
@@ -25,11 +24,7 @@ from epiprior_lab.labels.by_hand.session import ConflictError, LabelSession
 LARGEST_BODY = 1_000_000
 _ADDRESS = "127.0.0.1"
 _SCRIPTS = ("list.js", "main.js", "pairs.js", "pane.js", "server.js")
-_PAGE = {
-    "": ("index.html", "text/html; charset=utf-8"),
-    "label.css": ("label.css", "text/css; charset=utf-8"),
-    **{name: (name, "text/javascript; charset=utf-8") for name in _SCRIPTS},
-}
+_PAGE = {"": "html", "label.css": "css"} | dict.fromkeys(_SCRIPTS, "javascript")
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
@@ -42,17 +37,17 @@ _HEADERS = {
 }
 
 
-@dataclass(frozen=True)
-class _Answer:
+class _Answer(NamedTuple):
+    """What is sent; after the last one the server ends."""
+
     status: HTTPStatus
     content_type: str
     body: bytes
     last: bool = False
-    """Whether the server ends once this is sent."""
 
 
 class _RequestError(Exception):
-    """A request that is not answered as it wishes."""
+    """A request that is refused with a status."""
 
     def __init__(self, status: HTTPStatus, message: str) -> None:
         super().__init__(message)
@@ -66,17 +61,7 @@ def _json(value: Any, status: HTTPStatus = HTTPStatus.OK) -> _Answer:
 class LabelServer:
     """Serves one session's page on 127.0.0.1; a context manager that closes its port.
 
-    Parameters
-    ----------
-    session : LabelSession
-        What is shown and written.
-    port : int
-        In [0, 65535]; 0 takes a free one.
-
-    Raises
-    ------
-    SettingsError
-        If the port is out of range or taken.
+    Port 0 takes a free one; SettingsError if a port is out of range or taken.
     """
 
     def __init__(self, session: LabelSession, port: int = 0) -> None:
@@ -127,8 +112,8 @@ class LabelServer:
 
     def _get(self, route: str) -> _Answer:
         if route in _PAGE:
-            name, content_type = _PAGE[route]
-            return _Answer(HTTPStatus.OK, content_type, _page_file(name))
+            data = (resources.files("epiprior_lab.labels.by_hand") / "page" / (route or "index.html")).read_bytes()
+            return _Answer(HTTPStatus.OK, f"text/{_PAGE[route]}; charset=utf-8", data)
         if route in ("image/1", "image/2"):
             return _Answer(HTTPStatus.OK, "image/png", self.session.images[int(route[-1]) - 1].png)
         if route == "state":
@@ -146,19 +131,14 @@ class LabelServer:
             return _json(self.session.fit(sent.get("points")))
         if route == "save":
             return _json({"revision": self.session.save(sent.get("points"), sent.get("revision"))})
-        return replace(_json({"count": self.session.count()}), last=True)
-
-
-@functools.cache
-def _page_file(name: str) -> bytes:
-    return (resources.files("epiprior_lab.labels.by_hand") / "page" / name).read_bytes()
+        return _json({"count": self.session.count()})._replace(last=True)
 
 
 class _HTTPServer(ThreadingHTTPServer):
-    daemon_threads = True  # a browser opens connections ahead of need; nobody waits for these in the end
+    daemon_threads = True  # a browser opens connections ahead of need: the end does not wait for these
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Pass over a browser that went away in the middle of an answer."""
+        """Ignore a browser that closed the connection in the middle of an answer."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
 
@@ -183,13 +163,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Log nothing: addresses hold the secret."""
 
     def sent_json(self) -> dict[str, Any]:
-        """Return the object in the request's body.
-
-        Raises
-        ------
-        _RequestError
-            If the body is missing, too large, or no JSON object.
-        """
+        """Return the JSON object in the request's body."""
         if self.headers.get_content_type() != "application/json":
             raise _RequestError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "expected application/json")
         length = self.headers.get("Content-Length", "")
@@ -208,14 +182,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _reply(self) -> None:
         try:
             answer = self._make_answer(self)
-        except _RequestError as error:
-            answer = _json({"error": str(error)}, error.status)
-        except ConflictError as error:
-            answer = _json({"error": str(error)}, HTTPStatus.CONFLICT)
-        except OSError as error:  # OutputError too: nothing is wrong with the request
-            answer = _json({"error": str(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
-        except EpipriorError as error:
-            answer = _json({"error": str(error)}, HTTPStatus.UNPROCESSABLE_ENTITY)
+        except (_RequestError, OSError, EpipriorError) as error:
+            answer = _json({"error": str(error)}, _status(error))
         self.send_response(answer.status)
         for name, value in _HEADERS.items():
             self.send_header(name, value)
@@ -225,6 +193,16 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(answer.body)
         if answer.last:
             self.server.shutdown()
+
+
+def _status(error: Exception) -> HTTPStatus:
+    """Return the status that tells the page what kind of error it is."""
+    if isinstance(error, _RequestError):
+        return error.status
+    if isinstance(error, ConflictError):
+        return HTTPStatus.CONFLICT
+    # An OSError (OutputError too) is not the request's fault.
+    return HTTPStatus.INTERNAL_SERVER_ERROR if isinstance(error, OSError) else HTTPStatus.UNPROCESSABLE_ENTITY
 
 
 def _no_constant(name: str) -> float:

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from epiprior.errors import EpipriorError, ImageError, OutputError
+from epiprior.features.detect import read_image
 from epiprior.io.output import check_output, replacing
 from epiprior.types import FloatArray
 from epiprior_lab.labels.by_hand.fit import MIN_JUDGED, fit_pairs
@@ -35,7 +36,7 @@ class ConflictError(LabelError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LabelImage:
-    """An image as OpenCV sees it, turned as its EXIF data say.
+    """An image as OpenCV decodes it, turned as its EXIF data say.
 
     Parameters
     ----------
@@ -57,38 +58,22 @@ class LabelImage:
 
     @classmethod
     def read(cls, path: Path) -> LabelImage:
-        """Return the image of a file.
-
-        Raises
-        ------
-        ImageError
-            If the file is missing, cannot be read, or is no image.
-        """
-        if not path.is_file():
-            raise ImageError(f"{path}: no such image file")
-        try:
-            data = path.read_bytes()
-            pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR) if data else None
-        except OSError as error:
-            raise ImageError(f"{path}: cannot be read: {error.strerror}") from error
-        except cv2.error:
-            pixels = None
-        if pixels is None:
-            raise ImageError(f"{path}: not an image that OpenCV can read")
+        """Return the image of a file; ImageError if it cannot be read."""
+        pixels = read_image(path, cv2.IMREAD_COLOR)
         _, png = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-        height, width = pixels.shape[:2]
-        return cls(path=path, width=width, height=height, png=png.tobytes(), sha256=hashlib.sha256(data).hexdigest())
+        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+        return cls(path=path, width=pixels.shape[1], height=pixels.shape[0], png=png.tobytes(), sha256=sha256)
 
     def described(self) -> dict[str, Any]:
-        """Return name, size and hash, as the record beside the points holds them."""
-        return {"name": self.path.name, "width": self.width, "height": self.height, "sha256": self.sha256}
+        """Return name and size."""
+        return {"name": self.path.name, "width": self.width, "height": self.height}
 
 
 class LabelSession:
     """Two images and the control points that are clicked in them.
 
-    Beside ``points.csv`` lies its record, ``points.pair.json``: the names, sizes and hashes of the two images that
-    the points belong to. A control-point file itself does not say so.
+    Beside ``points.csv`` is its record, ``points.pair.json``: names, sizes and hashes of the two images that the
+    points belong to, which a file of control points does not hold.
 
     Parameters
     ----------
@@ -102,13 +87,11 @@ class LabelSession:
     Raises
     ------
     ImageError
-        If an image is missing or none, or both are the same.
+        If an image cannot be read, or both are the same.
     OutputError
         If `out` can never be written.
-    LabelError
-        If `out` belongs to another pair and `force` is not set.
-    DatasetError
-        If `out` is damaged and `force` is not set.
+    LabelError, DatasetError
+        If `out` belongs to another pair, or is damaged, and `force` is not set.
     """
 
     def __init__(self, image1: Path, image2: Path, out: Path, *, force: bool = False) -> None:
@@ -145,16 +128,11 @@ class LabelSession:
     def state(self) -> dict[str, Any]:
         """Return all that the page needs: images, file, its points and revision.
 
-        Raises
-        ------
-        DatasetError, LabelError
-            If the file was damaged, or exchanged for another pair's, since.
+        DatasetError or LabelError if the file was damaged, or exchanged for another pair's, since.
         """
         with self._lock:
             return {
-                "images": [
-                    {"name": image.path.name, "width": image.width, "height": image.height} for image in self.images
-                ],
+                "images": [image.described() for image in self.images],
                 "file": self.out.name,
                 "points": [] if self._anew else self._read().tolist(),
                 "revision": self._revision(),
@@ -162,13 +140,7 @@ class LabelSession:
             }
 
     def fit(self, points: Any) -> dict[str, Any]:
-        """Return what `fit_pairs` finds on points as the page sends them, ready for JSON.
-
-        Raises
-        ------
-        LabelError
-            If the points are not such.
-        """
+        """Return what `fit_pairs` finds on points as the page sends them, as values of JSON."""
         x = self.checked(points)
         found = fit_pairs(x[:, :2], x[:, 2:], click_px=self.click_px)
         if found is None:
@@ -182,45 +154,31 @@ class LabelSession:
         }
 
     def save(self, points: Any, revision: Any) -> str:
-        """Write the points, whole or not at all, and the record beside them; return the file's new revision.
+        """Write points as the page sends them, whole or not at all, and the record; return the file's new revision.
 
-        Parameters
-        ----------
-        points : list of [x1, y1, x2, y2]
-            As the page sends them.
-        revision : str
-            Of the file that these points continue.
-
-        Raises
-        ------
-        LabelError
-            If the points are not such.
-        ConflictError
-            If the file is of another revision by now.
-        OutputError
-            If a file cannot be written.
+        LabelError if they are no points, ConflictError if the file is no longer of the `revision` that they continue,
+        OutputError if a file cannot be written.
         """
         x = self.checked(points)
         with self._lock:
             if revision != self._revision():
                 raise ConflictError(f"{self.out.name} was changed by somebody else since it was read")
-            # Points first: a run that is killed in between leaves a file that no longer fits its record, never a
-            # record that vouches for another pair's points.
+            # Points first: a run that is killed in between leaves no record that names this pair beside other points.
             with replacing(self._target) as partial:
                 write_control_points(partial, np.ascontiguousarray(x[:, :2]), np.ascontiguousarray(x[:, 2:]))
             self._anew = False
-            record = {f"image{k}": image.described() for k, image in enumerate(self.images, start=1)}
+            record = {
+                f"image{k}": image.described() | {"sha256": image.sha256}
+                for k, image in enumerate(self.images, start=1)
+            }
             with replacing(self._record) as partial:
                 partial.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
             return self._revision()
 
     def checked(self, points: Any) -> FloatArray:
-        """Return points as the page sends them as an array of shape (N, 4).
+        """Return points as the page sends them, [x1, y1, x2, y2] each, as an array of shape (N, 4).
 
-        Raises
-        ------
-        LabelError
-            If they are no list of four finite numbers each, too many, or outside their image.
+        LabelError if they are no list of four finite numbers each, too many, or outside their image.
         """
         if not isinstance(points, list) or len(points) > MOST_PAIRS:
             raise LabelError(f"points: expected a list of at most {MOST_PAIRS} pairs")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from epiprior_lab.pairsets import PairSet
     from epiprior_lab.pairsets.importers.output import FoundPair
 
 app = typer.Typer(help="Make a pair set of published image pairs, or of your own photographs.", no_args_is_help=True)
@@ -65,35 +66,45 @@ def strecha(
 
 
 @app.command()
-def kusvod2(path: PathArgument, out: Out, origin: Origin = 0.0, max_side: MaxSide = 1280) -> None:
-    """Import kusvod2 or homogr: nameA, nameB and name_vpts.mat, control points by hand."""
-    from epiprior_lab.pairsets.importers import find_kusvod2
+def photos(
+    path: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of photographs.", show_default=False)],
+    out: Out,
+    scene: Scene = None,
+    min_angle: MinAngle = 10.0,
+    max_angle: MaxAngle = 70.0,
+    min_shared: MinShared = 12,
+    max_pairs: MaxPairs = 60,
+    max_side: MaxSide = 1280,
+) -> None:
+    """Your own photographs: structure from motion gives cameras, control points and pairs."""
+    from epiprior_lab.pairsets.importers import PairChoice, find_photos
 
-    _import(out, max_side, lambda: find_kusvod2(path, origin=origin))
-
-
-@app.command()
-def adelaidermf(path: PathArgument, out: Out, origin: Origin = 0.0, max_side: MaxSide = 1280) -> None:
-    """AdelaideRMF: .mat files, or labelled text name_pts.txt beside nameA and nameB."""
-    from epiprior_lab.pairsets.importers import find_adelaidermf
-
-    _import(out, max_side, lambda: find_adelaidermf(path, origin=origin))
-
-
-@app.command()
-def oxford(path: PathArgument, out: Out, max_side: MaxSide = 1280) -> None:
-    """Oxford's affine covariant regions: folders with img1 to img6 and H1to2p to H1to6p."""
-    from epiprior_lab.pairsets.importers import find_oxford
-
-    _import(out, max_side, lambda: find_oxford(path))
+    choice = PairChoice(min_angle_deg=min_angle, max_angle_deg=max_angle, min_shared=min_shared, max_pairs=max_pairs)
+    _import(out, max_side, lambda: find_photos(path, scene=scene, choice=choice))
 
 
-@app.command()
-def hpatches(path: PathArgument, out: Out, max_side: MaxSide = 1280) -> None:
-    """HPatches sequences: folders with 1.ppm to 6.ppm and H_1_2 to H_1_6."""
-    from epiprior_lab.pairsets.importers import find_hpatches
+def _match_files(name: str, text: str) -> None:
+    @app.command(name, help=text)
+    def command(path: PathArgument, out: Out, origin: Origin = 0.0, max_side: MaxSide = 1280) -> None:
+        from epiprior_lab.pairsets.importers import find_match_files
 
-    _import(out, max_side, lambda: find_hpatches(path))
+        _import(out, max_side, lambda: find_match_files(name, path, origin=origin))
+
+
+_match_files("kusvod2", "kusvod2 or homogr: nameA, nameB and name_vpts.mat, control points by hand.")
+_match_files("adelaidermf", "AdelaideRMF: .mat files, or labelled text name_pts.txt beside nameA and nameB.")
+
+
+def _sequences(name: str, text: str) -> None:
+    @app.command(name, help=text)
+    def command(path: PathArgument, out: Out, max_side: MaxSide = 1280) -> None:
+        from epiprior_lab.pairsets.importers import find_sequences
+
+        _import(out, max_side, lambda: find_sequences(name, path))
+
+
+_sequences("oxford", "Oxford's affine covariant regions: folders with img1 to img6 and H1to2p to H1to6p.")
+_sequences("hpatches", "HPatches sequences: folders with 1.ppm to 6.ppm and H_1_2 to H_1_6.")
 
 
 @app.command()
@@ -128,24 +139,6 @@ def pairs(
     _import(out, max_side, lambda: find_pairs(path, images=images, truths=truths, origin=origin, known=known))
 
 
-@app.command()
-def photos(
-    path: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of photographs.", show_default=False)],
-    out: Out,
-    scene: Scene = None,
-    min_angle: MinAngle = 10.0,
-    max_angle: MaxAngle = 70.0,
-    min_shared: MinShared = 12,
-    max_pairs: MaxPairs = 60,
-    max_side: MaxSide = 1280,
-) -> None:
-    """Your own photographs: structure from motion gives cameras, control points and pairs."""
-    from epiprior_lab.pairsets.importers import PairChoice, find_photos
-
-    choice = PairChoice(min_angle_deg=min_angle, max_angle_deg=max_angle, min_shared=min_shared, max_pairs=max_pairs)
-    _import(out, max_side, lambda: find_photos(path, scene=scene, choice=choice))
-
-
 def check_set(
     folder: Annotated[Path, typer.Argument(help="Folder of a pair set.", show_default=False)],
 ) -> None:
@@ -156,10 +149,7 @@ def check_set(
     with progress_bar("checking", len(read_pair_set(folder).pairs)) as advance:
         pair_set = check_pair_set(folder, on_pair=advance)
     kinds = sorted({pair.truth for pair in pair_set.pairs})
-    scenes = len({pair.scene for pair in pair_set.pairs})
-    typer.echo(
-        f"{folder}: {_count(len(pair_set.pairs), 'pair')} of {_count(scenes, 'scene')}, truth: {', '.join(kinds)}"
-    )
+    typer.echo(f"{folder}: {_counted(pair_set)}, truth: {', '.join(kinds)}")
 
 
 def sets(
@@ -189,10 +179,9 @@ def _import(out: Path, max_side: int, find: Callable[[], list[FoundPair]]) -> No
     from epiprior_lab.pairsets.importers import check_out, write_found
 
     check_out(out)
-    pair_set = write_found(out, find(), max_side=max_side)
-    scenes = len({pair.scene for pair in pair_set.pairs})
-    typer.echo(f"{out}: {_count(len(pair_set.pairs), 'pair')} of {_count(scenes, 'scene')}")
+    typer.echo(f"{out}: {_counted(write_found(out, find(), max_side=max_side))}")
 
 
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" + ("" if number == 1 else "s")
+def _counted(pair_set: PairSet) -> str:
+    numbers = {"pair": len(pair_set.pairs), "scene": len({pair.scene for pair in pair_set.pairs})}
+    return " of ".join(f"{number} {noun}{'' if number == 1 else 's'}" for noun, number in numbers.items())

@@ -2,28 +2,52 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.errors import OutputError
+from epiprior.features.detect import read_image
 from epiprior.types import FloatArray
 from epiprior_lab.pairsets import Camera, DatasetError, PairSet, image_size, read_pair_set, write_control_points
-from epiprior_lab.pairsets.files import CAMERA_COLUMNS, PAIR_COLUMNS
+from epiprior_lab.pairsets.files import (
+    CAMERA_COLUMNS,
+    PAIR_COLUMNS,
+    camera_row,
+    check_pixels,
+    write_matrix,
+    write_table,
+)
 from epiprior_lab.pairsets.homographies import grid_in_both, transfer
 from epiprior_lab.pairsets.importers.progress import progress_bar
-from epiprior_lab.pairsets.writer import camera_row, write_matrix, write_table
 
 Pixels = NDArray[np.uint8]
 
 DEFAULT_MAX_SIDE = 1280
 _COPIED = {".jpg", ".jpeg", ".png", ".ppm", ".pgm"}
 _JPEG_QUALITY = 95
+_LONGEST_NAME = 250  # bytes, a suffix to come; file systems allow 255
+
+
+def name_of(file: str) -> str:
+    """Return the name of a photograph in the new set: its path without suffix, ``_`` for ``/``: scenes share names."""
+    return Path(file).with_suffix("").as_posix().strip("/").replace("/", "_")
+
+
+def as_text(name: str) -> str:
+    """Return a name as ``pairs.csv``, which is UTF-8, can hold it: bytes that are not UTF-8 are taken for Latin-1."""
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        return os.fsencode(name).decode("latin-1")
+    return name
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,7 +61,7 @@ class Photograph:
     path : Path
         Where it comes from.
     camera : Camera, optional
-        Of the pixels as they are before they are made smaller.
+        Of the pixels before they are made smaller.
     develop : callable, optional
         Returns the pixels where they are not those of the file: undistorted, or part of a larger file.
     """
@@ -46,6 +70,9 @@ class Photograph:
     path: Path
     camera: Camera | None = None
     develop: Callable[[], Pixels] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", as_text(self.name))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,10 +88,9 @@ class FoundPair:
     image1, image2 : Photograph
         Both with cameras or both without.
     points : tuple of ndarray, optional
-        Control points, two arrays of shape (N, 2).
+        Control points, two arrays of shape (N, 2); a homography without any gets a grid of them.
     homography, fundamental : ndarray, shape (3, 3), optional
-        ``x2 ~ H x1``; ``x2' F x1 = 0``. At most one of them, and not with cameras. A homography without control
-        points gets a grid of them.
+        ``x2 ~ H x1``; ``x2' F x1 = 0``. At most one of them, and not with cameras.
     """
 
     pair_id: str
@@ -76,6 +102,10 @@ class FoundPair:
     homography: FloatArray | None = None
     fundamental: FloatArray | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("pair_id", "scene"):
+            object.__setattr__(self, name, as_text(getattr(self, name)))
+
     @property
     def gt(self) -> str:
         """The column of ``pairs.csv``."""
@@ -86,13 +116,30 @@ class FoundPair:
         return "control_points" if self.fundamental is None else "fundamental"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Written:
-    """An image in the new set: `to_new` takes its old pixels to the new ones."""
+class _Written(NamedTuple):
+    """An image in the new set: `to_new` (3 x 3) takes its old pixels to the new ones."""
 
     file: str
     size: tuple[int, int]
     to_new: FloatArray
+
+
+def check_out(out: Path) -> None:
+    """Raise OutputError, before any work is done, where `out` exists."""
+    if out.exists():
+        raise OutputError(f"{out}: exists already; a pair set is not overwritten")
+
+
+def check_photographs(photographs: Iterable[Photograph]) -> None:
+    """Raise, before any work is done, where two files have one name in a pair set or an image cannot be decoded."""
+    known: dict[str, Path] = {}
+    for photograph in photographs:
+        name, path = photograph.name, photograph.path
+        if name in known and known[name] != path:
+            raise DatasetError(f"{known[name]} and {path} would both become images/{name}")
+        if name not in known and (photograph.develop is None or path.is_file()):  # else part of a file, read with it
+            check_pixels(path)
+        known[name] = path
 
 
 def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAULT_MAX_SIDE) -> PairSet:
@@ -107,22 +154,24 @@ def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAUL
     max_side : int
         Larger images are made smaller, and everything with them, pixels. Smaller ones are copied as they are.
 
-    Returns
-    -------
-    PairSet
-        What was written.
-
     Raises
     ------
     OutputError
         If `out` exists or cannot be written.
-    DatasetError
-        If there is no pair, an image cannot be read, or the set does not pass the check of `read_pair_set`. What was
-        written until then stays in ``<out>.partial``.
+    DatasetError, ImageError
+        If there is no pair, a name cannot be that of a file, two photographs have one name or one cannot be read, all
+        before anything is written; or if the set does not pass the check of `read_pair_set`. What was written until
+        then stays in ``<out>.partial``.
     """
     check_out(out)
     if not pairs:
         raise DatasetError(f"{out}: no pair was found")
+    for pair in pairs:
+        if "/" in pair.pair_id or len(pair.pair_id.encode()) > _LONGEST_NAME:
+            raise DatasetError(
+                f"pair {pair.pair_id!r}: a pair set has files of this name: no '/', {_LONGEST_NAME} bytes"
+            )
+    check_photographs(photograph for pair in pairs for photograph in (pair.image1, pair.image2))
     partial = out.with_name(out.name + ".partial")
     try:
         shutil.rmtree(partial, ignore_errors=True)
@@ -135,34 +184,28 @@ def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAUL
     return PairSet(name=out.resolve().name, pairs=pair_set.pairs)
 
 
-def check_out(out: Path) -> None:
-    """Raise OutputError, before any work is done, where `out` exists."""
-    if out.exists():
-        raise OutputError(f"{out}: exists already; a pair set is not overwritten")
-
-
 def _write(root: Path, pairs: Sequence[FoundPair], max_side: int) -> None:
     pair_rows: list[list[str]] = []
-    camera_rows: dict[str, list[str]] = {}
-    written: dict[str, tuple[Photograph, _Written]] = {}
+    camera_rows: list[list[str]] = []
+    written: dict[str, _Written] = {}
     with progress_bar("writing pairs", len(pairs)) as advance:
         for pair in pairs:
             for photograph in (pair.image1, pair.image2):
-                known = written.get(photograph.name)
-                if known is None:
-                    new = _write_image(root, photograph, max_side)
-                    written[photograph.name] = photograph, new
-                    if photograph.camera is not None:
-                        camera_rows[new.file] = camera_row(new.file, _scaled(photograph.camera, new))
-                elif known[0].path != photograph.path:
-                    raise DatasetError(f"{known[0].path} and {photograph.path} would both become {known[1].file}")
-            image1, image2 = written[pair.image1.name][1], written[pair.image2.name][1]
+                if photograph.name in written:
+                    continue
+                new = written[photograph.name] = _write_image(root, photograph, max_side)
+                if photograph.camera is not None:
+                    camera = photograph.camera
+                    K, (width, height) = new.to_new @ camera.K, new.size
+                    scaled = Camera(K=K, R=camera.R, t=camera.t, width=width, height=height)
+                    camera_rows.append(camera_row(new.file, scaled))
+            image1, image2 = written[pair.image1.name], written[pair.image2.name]
             _write_truth(root, pair, image1, image2)
             pair_rows.append([pair.pair_id, image1.file, image2.file, pair.gt, pair.scene, pair.difficulty])
             advance()
     write_table(root / "pairs.csv", PAIR_COLUMNS, pair_rows)
     if camera_rows:
-        write_table(root / "cameras.csv", CAMERA_COLUMNS, list(camera_rows.values()))
+        write_table(root / "cameras.csv", CAMERA_COLUMNS, camera_rows)
 
 
 def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
@@ -171,8 +214,8 @@ def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
         if max(width, height) <= max_side and photograph.path.suffix.lower() in _COPIED:
             file = f"images/{photograph.name}{photograph.path.suffix.lower()}"
             shutil.copyfile(photograph.path, root / file)
-            return _Written(file=file, size=(width, height), to_new=np.eye(3))
-        pixels = read_pixels(photograph.path)
+            return _Written(file, (width, height), np.eye(3))
+        pixels = read_image(photograph.path, cv2.IMREAD_COLOR)
     else:
         pixels = photograph.develop()
     height, width = pixels.shape[:2]
@@ -182,36 +225,13 @@ def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
         pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     file = f"images/{photograph.name}.jpg"
     (root / file).write_bytes(cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes())
-    return _Written(file=file, size=size, to_new=shrinking((width, height), size))
-
-
-def read_pixels(path: Path, *, turn: bool = True) -> Pixels:
-    """Return the pixels of an image, BGR, turned as its EXIF data say unless `turn` is False.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read.
-    """
-    flags = cv2.IMREAD_COLOR if turn else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    pixels = cv2.imread(str(path), flags) if path.is_file() else None
-    if pixels is None:
-        raise DatasetError(f"{path}: no image that OpenCV can read")
-    return np.asarray(pixels, dtype=np.uint8)
+    return _Written(file, size, shrinking((width, height), size))
 
 
 def shrinking(old: tuple[int, int], new: tuple[int, int]) -> FloatArray:
-    """Return the 3 x 3 map of pixels when an image of size `old` becomes `new` (width, height).
-
-    Corners go to corners, and those lie half a pixel beside the outermost centres.
-    """
+    """Return the 3 x 3 map of pixels when an image of size `old` becomes `new` (width, height): corners to corners."""
     x, y = (after / before for before, after in zip(old, new, strict=True))
     return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
-
-
-def _scaled(camera: Camera, new: _Written) -> Camera:
-    K = new.to_new @ camera.K
-    return Camera(K=K, R=camera.R, t=camera.t, width=new.size[0], height=new.size[1])
 
 
 def _write_truth(root: Path, pair: FoundPair, image1: _Written, image2: _Written) -> None:

@@ -1,21 +1,28 @@
-"""A list of pairs with text files of control points, homographies or fundamental matrices.
+"""Pairs of images with text files: of control points, homographies or F by a list, and the release of USAC.
 
-For the paper's sets ZuBuD, BLOGS, Open1, Open2 and Urban, and for anything else that comes as images and numbers.
+The list is for the paper's sets ZuBuD, BLOGS, Open1, Open2 and Urban, and for anything else that comes as images and
+numbers. USAC has a folder per pair with ``im1.jpg``, ``im2.jpg`` and ``orig_pts.txt``: the number of matches, then a
+line ``x1 y1 x2 y2`` each. They are putative matches with many wrong ones, and no ground truth.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 
+from epiprior.geometry import sampson_distance
 from epiprior.types import FloatArray
 from epiprior_lab.pairsets import DatasetError, KnownSet, known_sets
-from epiprior_lab.pairsets.files import read_matrix, read_table
-from epiprior_lab.pairsets.importers.output import FoundPair, Photograph
-from epiprior_lab.pairsets.importers.text import read_rows, split_matches
+from epiprior_lab.pairsets.files import read_control_points, read_matrix, read_table
+from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of
+from epiprior_lab.pairsets.importers.sources import files_of, read_rows, split_matches
 
 TRUTHS = ("points", "homography", "fundamental")
+_USAC_MATCHES = "orig_pts.txt"
+_FIT_PX = 1.0
+_MOST_POINTS = 200
 
 
 def find_pairs(
@@ -31,10 +38,7 @@ def find_pairs(
     Parameters
     ----------
     table : Path
-        Comma-separated, with columns ``image1, image2`` and at least one of ``points``, ``homography`` and
-        ``fundamental``: files of text. Optional columns: ``points2`` (points of image 2 in a file of their own),
-        ``pair_id``, ``difficulty``, ``scene`` (by default what `known` says, or the table's name). Files of points
-        have rows ``x1 y1 x2 y2`` or ``x1 y1 1 x2 y2 1``; with ``points2``, rows ``x y`` or ``x y 1`` each.
+        Comma-separated; its columns are in ``docs/pair-sets.md``.
     images, truths : Path, optional
         Folders that the names of images, and of the other files, are relative to; the table's by default.
     origin : float
@@ -51,48 +55,41 @@ def find_pairs(
     sets = {one.name: one for one in known_sets()}
     if known is not None and known not in sets:
         raise DatasetError(f"unknown set {known!r}; there are {', '.join(sets)}")
-    chosen = None if known is None else sets[known]
-    images, truths = images or table.parent, truths or table.parent
-    pairs = []
-    for line, row in read_table(table, ("image1", "image2")):
-        pairs.append(_pair(row, (table, line), (images, truths), origin, chosen))
+    chosen = sets[known] if known else None
+    folders = images or table.parent, truths or table.parent
+    pairs = [
+        _listed(row, f"{table}, line {line}", folders, origin, chosen, table.stem)
+        for line, row in read_table(table, ("image1", "image2"))
+    ]
     if chosen is not None and len(pairs) != chosen.pairs:
         raise DatasetError(f"{table}: {len(pairs)} pairs, {chosen.title} has {chosen.pairs}")
     return pairs
 
 
-def _pair(
-    row: dict[str, str],
-    place: tuple[Path, int],
-    folders: tuple[Path, Path],
-    origin: float,
-    known: KnownSet | None,
+def _listed(
+    row: dict[str, str], where: str, folders: tuple[Path, Path], origin: float, known: KnownSet | None, scene: str
 ) -> FoundPair:
-    table, line = place
+    """Return the pair of a row of the table."""
     images, truths = folders
-    where = f"{table}, line {line}"
     photographs = []
     for column in ("image1", "image2"):
         path = images / row[column]
         if not row[column] or not path.is_file():
             raise DatasetError(f"{where}: no image {path}")
-        # The folder is part of the name: images of several scenes may be called alike.
-        name = "_".join(Path(row[column]).with_suffix("").parts)
-        photographs.append(Photograph(name=name, path=path))
+        photographs.append(Photograph(name=name_of(row[column]), path=path))
     files = {name: truths / row[name] for name in (*TRUTHS, "points2") if row.get(name)}
     if not any(name in files for name in TRUTHS):
         raise DatasetError(f"{where}: none of {', '.join(TRUTHS)} is given")
     if "homography" in files and "fundamental" in files:
         raise DatasetError(f"{where}: both a homography and a fundamental matrix are given")
-    names = [photograph.name for photograph in photographs]
-    scene = row.get("scene") or (known.scene(Path(row["image1"]).stem) if known else table.stem)
+    image1, image2 = photographs
     shift = np.array([[1.0, 0.0, origin], [0.0, 1.0, origin], [0.0, 0.0, 1.0]])
     H, F = (read_matrix(files[name]) if name in files else None for name in ("homography", "fundamental"))
     return FoundPair(
-        pair_id=row.get("pair_id") or f"{names[0]}_{names[1]}",
-        scene=scene,
-        image1=photographs[0],
-        image2=photographs[1],
+        pair_id=row.get("pair_id") or f"{image1.name}_{image2.name}",
+        scene=row.get("scene") or (known.scene(Path(row["image1"]).stem) if known else scene),
+        image1=image1,
+        image2=image2,
         difficulty=row.get("difficulty", ""),
         points=_points(files, origin) if "points" in files else None,
         homography=None if H is None else np.linalg.inv(shift) @ H @ shift,
@@ -103,14 +100,71 @@ def _pair(
 def _points(files: dict[str, Path], origin: float) -> tuple[FloatArray, FloatArray]:
     """Return control points of one file, or of one file per image."""
     if "points2" not in files:
-        x1, x2 = split_matches(read_rows(files["points"], (4, 6))[0])
+        x1, x2 = split_matches(read_rows(files["points"], (4, 6)))
     else:
-        x1, x2 = (_single(files[name]) for name in ("points", "points2"))
+        rows = [read_rows(files[name], (2, 3)) for name in ("points", "points2")]
+        x1, x2 = (x if x.shape[1] == 2 else np.asarray(x[:, :2] / x[:, 2:]) for x in rows)
         if len(x1) != len(x2):
             raise DatasetError(f"{files['points']} has {len(x1)} points, {files['points2']} {len(x2)}")
     return np.ascontiguousarray(x1 - origin), np.ascontiguousarray(x2 - origin)
 
 
-def _single(path: Path) -> FloatArray:
-    rows, _ = read_rows(path, (2, 3))
-    return rows[:, :2] if rows.shape[1] == 2 else np.asarray(rows[:, :2] / rows[:, 2:])
+def find_usac(folder: Path, *, points: Path | None = None, fit: bool = False) -> list[FoundPair]:
+    """Return the pairs of the USAC release in all folders below; the id of a pair is its folder's name.
+
+    Control points by hand are in the folder `points`, ``<pair_id>.csv``. Where there are none and `fit` is True, they
+    are the matches that agree with the F which OpenCV's MAGSAC++ fits to all; ``difficulty`` says "fitted": an
+    estimator made the ground truth, so such pairs must not decide between estimators. DatasetError if `fit` is False,
+    there is no pair, or a file is missing or damaged.
+    """
+    pairs = []
+    for path in files_of(folder, f"**/{_USAC_MATCHES}"):
+        pair_id = path.parent.resolve().name
+        images = [path.parent / f"im{number}.jpg" for number in (1, 2)]
+        for image in images:
+            if not image.is_file():
+                raise DatasetError(f"{path}: no image {image}")
+        rows = read_rows(path, (4,))
+        by_hand = (points or Path("POINTS")) / f"{pair_id}.csv"
+        if points is not None and by_hand.is_file():
+            known, difficulty = read_control_points(by_hand), "points by hand"
+        elif fit:
+            known, difficulty = _agreeing(path, rows), "fitted to the matches of the release"
+        else:
+            raise DatasetError(
+                f"{path}: its matches are no ground truth. Mark points with `epiprior-lab label {images[0]} {images[1]}"
+                f" --out {by_hand}` and name their folder with --points, or let --fit derive them"
+            )
+        image1, image2 = (Photograph(name=f"{pair_id}_{k}", path=image) for k, image in enumerate(images, 1))
+        pairs.append(
+            FoundPair(
+                pair_id=pair_id,
+                scene=pair_id,
+                image1=image1,
+                image2=image2,
+                difficulty=f"{difficulty}; {len(rows)} matches",
+                points=known,
+            )
+        )
+    if not pairs:
+        raise DatasetError(f"{folder}: no {_USAC_MATCHES} in it or below")
+    return pairs
+
+
+def _agreeing(path: Path, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return at most 200 matches within a pixel of the F that MAGSAC++ fits to all."""
+    x1, x2 = np.ascontiguousarray(rows[:, :2]), np.ascontiguousarray(rows[:, 2:])
+    found = None
+    if len(rows) >= 8:
+        parameters = cv2.UsacParams()
+        parameters.confidence, parameters.maxIterations, parameters.threshold = 0.9999, 100_000, 1.5
+        parameters.score, parameters.sampler = cv2.SCORE_METHOD_MAGSAC, cv2.SAMPLING_UNIFORM
+        parameters.loMethod, parameters.randomGeneratorState = cv2.LOCAL_OPTIM_SIGMA, 0
+        found = cv2.findFundamentalMat(x1, x2, parameters)[0]
+    if found is None or np.shape(found) != (3, 3):
+        raise DatasetError(f"{path}: no F can be fitted to its {len(rows)} matches")
+    near = np.flatnonzero(sampson_distance(np.asarray(found), x1, x2) < _FIT_PX)
+    if len(near) < 8:
+        raise DatasetError(f"{path}: only {len(near)} of {len(rows)} matches agree with the F fitted to them")
+    kept = near[np.unique(np.linspace(0, len(near) - 1, min(_MOST_POINTS, len(near))).astype(int))]
+    return x1[kept], x2[kept]

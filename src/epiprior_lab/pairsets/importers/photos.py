@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 from pathlib import Path
+from typing import Any
 
-from epiprior_lab.pairsets import DatasetError, image_size
-from epiprior_lab.pairsets.importers.images_beside import SUFFIXES, need_folder
-from epiprior_lab.pairsets.importers.output import FoundPair
-from epiprior_lab.pairsets.importers.pycolmap_run import map_images, match_images, quiet
-from epiprior_lab.pairsets.importers.structure import PairChoice, choose_pairs, views_of
+from epiprior_lab.pairsets import DatasetError
+from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of
+from epiprior_lab.pairsets.importers.progress import progress_bar
+from epiprior_lab.pairsets.importers.pycolmap_run import Matched, mapping_options, matched
+from epiprior_lab.pairsets.importers.sources import SUFFIXES, files_of
+from epiprior_lab.pairsets.importers.structure import PairChoice, pairs_of_models
 
 logger = logging.getLogger(__name__)
 
-_FEATURES_SIDE = 1600
 _LEAST = 3
 
 
@@ -22,47 +22,45 @@ def find_photos(folder: Path, *, scene: str | None = None, choice: PairChoice | 
     """Return pairs of photographs whose cameras pycolmap can find.
 
     All pairs of photographs are matched, which suits up to some hundred of them. Photographs that do not fit together
-    give several models, each a scene of its own; those that fit nowhere are left out with a warning.
+    give several models, each a scene of its own (named `scene`, the folder's name by default, and a number); those
+    that fit nowhere are left out with a warning.
 
-    Parameters
-    ----------
-    folder : Path
-        The photographs.
-    scene : str, optional
-        Name of the scene; the folder's by default.
-    choice : PairChoice, optional
-        Which pairs.
-
-    Raises
-    ------
-    DatasetError
-        If there are fewer than three photographs, one cannot be read, or no pair is as `choice` asks.
-
-    Notes
-    -----
-    Ground truth by structure from motion favours pairs that SIFT can link, directly or through others.
+    DatasetError if there are fewer than three photographs, two differ in their suffix only, or no pair is as `choice`
+    asks; ImageError if one cannot be read; all are checked first. Ground truth by structure from motion favours pairs
+    that SIFT can link, directly or through others.
     """
     choice = choice or PairChoice()
-    names = sorted(path.name for path in need_folder(folder).iterdir() if path.suffix.lower() in SUFFIXES)
-    if len(names) < _LEAST:
-        raise DatasetError(f"{folder}: {len(names)} photographs, expected {_LEAST} or more")
-    for name in names:
-        image_size(folder / name)
-    scene = scene or folder.resolve().name
-    with tempfile.TemporaryDirectory() as scratch, quiet():
-        database = Path(scratch) / "database.db"
-        match_images(database, folder, names, max_side=_FEATURES_SIDE)
-        models = map_images(database, folder, Path(scratch) / "models", len(names))
-    pairs = []
-    placed: set[str] = set()
-    for number, model in enumerate(models):
-        several = len(models) > 1
-        views = views_of(model, folder, prefix=f"{number}_" if several else "")
-        placed |= {view.photograph.path.name for view in views}
-        pairs += choose_pairs(views, f"{scene}_{number}" if several else scene, choice)
-    left_out = [name for name in names if name not in placed]
+    photographs = [
+        Photograph(name=name_of(path.name), path=path)
+        for path in files_of(folder, "*")
+        if path.suffix.lower() in SUFFIXES
+    ]
+    if len(photographs) < _LEAST:
+        raise DatasetError(f"{folder}: {len(photographs)} photographs, expected {_LEAST} or more")
+    with matched(photographs) as found:
+        models = _map(found)
+        pairs, placed = pairs_of_models(models, found.photographs.__getitem__, scene or folder.resolve().name, choice)
+    left_out = [photograph.path.name for photograph in photographs if photograph.path not in placed]
     if left_out:
         logger.warning("%s: %d photographs fit nowhere: %s", folder, len(left_out), ", ".join(left_out))
     if not pairs:
         raise DatasetError(f"{folder}: no pair of {len(placed)} placed photographs with {choice}")
     return pairs
+
+
+def _map(found: Matched) -> list[Any]:
+    """Return the models of pycolmap's incremental mapping, the largest first; each has three photographs or more."""
+    import pycolmap
+
+    options = mapping_options()
+    options.min_model_size, options.extract_colors = _LEAST, False
+    with progress_bar("structure from motion", len(found.photographs)) as advance:
+        models = pycolmap.incremental_mapping(
+            found.database,
+            found.images,
+            found.scratch,
+            options,
+            initial_image_pair_callback=advance,
+            next_image_callback=advance,
+        )
+    return sorted(models.values(), key=lambda model: -int(model.num_reg_images()))

@@ -7,49 +7,35 @@ we have says so. The files hold no points: control points are triangulated from 
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from epiprior_lab.pairsets import Camera, DatasetError, image_size
 from epiprior_lab.pairsets.cameras import CameraError
-from epiprior_lab.pairsets.files import read_lines
-from epiprior_lab.pairsets.importers.images_beside import need_folder
-from epiprior_lab.pairsets.importers.output import FoundPair
-from epiprior_lab.pairsets.importers.pycolmap_run import match_images, quiet, triangulate
-from epiprior_lab.pairsets.importers.structure import PairChoice, choose_pairs, views_of
+from epiprior_lab.pairsets.files import read_numbers
+from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of
+from epiprior_lab.pairsets.importers.pycolmap_run import Matched, mapping_options, matched
+from epiprior_lab.pairsets.importers.sources import files_of
+from epiprior_lab.pairsets.importers.structure import HALF_PIXEL, PairChoice, choose_pairs, views_of
 
 _ENDING = ".camera"
 _WIDTHS = (3, 3, 3, 3, 3, 3, 3, 3, 2)
-_FEATURES_SIDE = 1600
 
 
 def read_camera(path: Path) -> Camera:
-    """Return the camera of a ``.camera`` file.
-
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read, a row has another number of values, or the camera is impossible; the message names
-        file and line.
-    """
-    rows = []
-    lines = read_lines(path)
+    """Return the camera of a ``.camera`` file; DatasetError names the file, and the line of a wrong row."""
+    lines = read_numbers(path)
     if len(lines) != len(_WIDTHS):
         raise DatasetError(f"{path}: {len(lines)} rows, expected {len(_WIDTHS)}: K, zeros, rotation, centre, size")
-    for (line, text), width in zip(lines, _WIDTHS, strict=True):
-        try:
-            values = [float(value) for value in text.split()]
-        except ValueError as error:
-            raise DatasetError(f"{path}, line {line}: {text.strip()!r} are not numbers") from error
-        if len(values) != width or not np.isfinite(values).all():
-            raise DatasetError(f"{path}, line {line}: {text.strip()!r}, expected {width} finite numbers")
-        rows.append(values)
-    K, rotation, centre = np.array(rows[:3]), np.array(rows[4:7]), np.array(rows[7])
-    R = rotation.T
+    for (line, values), width in zip(lines, _WIDTHS, strict=True):
+        if len(values) != width:
+            raise DatasetError(f"{path}, line {line}: {len(values)} numbers, expected {width}")
+    rows = [values for _, values in lines]
+    R, centre = np.array(rows[4:7]).T, np.array(rows[7])
     try:
-        return Camera(K=K, R=R, t=-R @ centre, width=int(rows[8][0]), height=int(rows[8][1]))
+        return Camera(K=np.array(rows[:3]), R=R, t=-R @ centre, width=int(rows[8][0]), height=int(rows[8][1]))
     except CameraError as error:
         raise DatasetError(f"{path}: {error}") from error
 
@@ -57,49 +43,68 @@ def read_camera(path: Path) -> Camera:
 def find_strecha(folder: Path, *, images: Path | None = None, choice: PairChoice | None = None) -> list[FoundPair]:
     """Return pairs of a scene, or of each scene below a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        ``*.camera`` files; the photographs beside them, or in a folder ``images`` beside theirs.
-    images : Path, optional
-        Folder of the photographs, where there is one scene.
-    choice : PairChoice, optional
-        Which pairs.
-
-    Raises
-    ------
-    DatasetError
-        If there is no camera file, one is damaged, or a photograph is missing or has another size.
+    Photographs are in the folder `images`, else beside the ``*.camera`` files, else in a folder ``images`` beside
+    theirs. DatasetError if there is no camera file, one is damaged, or a photograph is missing or has another size;
+    ImageError if one cannot be read; all of a scene are checked first.
     """
     choice = choice or PairChoice()
-    folders = sorted({path.parent for path in need_folder(folder).rglob(f"*{_ENDING}")})
-    if not folders:
+    files: dict[Path, list[Path]] = {}
+    for path in files_of(folder, f"**/*{_ENDING}"):
+        files.setdefault(path.parent, []).append(path)
+    if not files:
         raise DatasetError(f"{folder}: no file *{_ENDING}")
     pairs = []
-    for one in folders:
-        beside = any((one / path.name.removesuffix(_ENDING)).is_file() for path in one.glob(f"*{_ENDING}"))
-        photographs = images or (one if beside else one.parent / "images")
+    for one, paths in files.items():
+        beside = any(path.with_suffix("").is_file() for path in paths)
         scene = (one if beside else one.parent).resolve().name
-        pairs += _scene(one, photographs, scene, choice)
+        pairs += _scene(paths, images or (one if beside else one.parent / "images"), scene, choice)
     if not pairs:
         raise DatasetError(f"{folder}: no pair with {choice}")
     return pairs
 
 
-def _scene(folder: Path, images: Path, scene: str, choice: PairChoice) -> list[FoundPair]:
-    cameras = {}
-    for path in sorted(folder.glob(f"*{_ENDING}")):
-        name = path.name.removesuffix(_ENDING)
-        photograph = images / name
+def _scene(paths: list[Path], images: Path, scene: str, choice: PairChoice) -> list[FoundPair]:
+    photographs = []
+    for path in paths:
+        photograph = images / path.name.removesuffix(_ENDING)
         if not photograph.is_file():
             raise DatasetError(f"{path}: no image {photograph}")
         camera = read_camera(path)
-        width, height = image_size(photograph)
+        width, height = image_size(photograph, turn=False)
         if (width, height) != (camera.width, camera.height):
             raise DatasetError(f"{path}: says {camera.width} x {camera.height}, {photograph} is {width} x {height}")
-        cameras[name] = camera
-    with tempfile.TemporaryDirectory() as scratch, quiet():
-        database = Path(scratch) / "database.db"
-        match_images(database, images, list(cameras), max_side=_FEATURES_SIDE)
-        reconstruction = triangulate(database, images, Path(scratch) / "model", cameras)
-        return choose_pairs(views_of(reconstruction, images, prefix=f"{scene}_"), scene, choice)
+        photographs.append(Photograph(name=name_of(photograph.name), path=photograph, camera=camera))
+    with matched(photographs) as found:
+        views = views_of(_triangulate(found), found.photographs.__getitem__, prefix=f"{scene}_")
+        return choose_pairs(views, scene, choice)
+
+
+def _triangulate(found: Matched) -> Any:
+    """Return a reconstruction with the given cameras, and points triangulated from the matches."""
+    import pycolmap
+
+    reconstruction = pycolmap.Reconstruction()
+    known = pycolmap.Database.open(found.database)
+    try:
+        for image in known.read_all_images():
+            camera = found.photographs[image.name].camera
+            assert camera is not None
+            K = camera.K
+            pinhole = pycolmap.Camera(
+                model="PINHOLE",
+                width=camera.width,
+                height=camera.height,
+                params=[K[0, 0], K[1, 1], K[0, 2] + HALF_PIXEL, K[1, 2] + HALF_PIXEL],
+                camera_id=image.camera_id,
+                has_prior_focal_length=True,
+            )
+            known.update_camera(pinhole)
+            reconstruction.add_camera_with_trivial_rig(pinhole)
+            pose = pycolmap.Rigid3d(np.column_stack([camera.R, camera.t]))
+            placed = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+            reconstruction.add_image_with_trivial_frame(placed, pose)
+    finally:
+        known.close()
+    return pycolmap.triangulate_points(
+        reconstruction, found.database, found.images, found.scratch, options=mapping_options()
+    )

@@ -1,33 +1,37 @@
 """Pairs out of structure from motion: which two photographs, and what they have in common.
 
-COLMAP puts the centre of the top-left pixel at (0.5, 0.5), and a world-to-camera pose as here. That half pixel is
-taken off here.
+COLMAP puts the centre of the top-left pixel at (0.5, 0.5), this library at (0, 0): half a pixel is subtracted.
 """
 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from epiprior.errors import SettingsError
+from epiprior.features.detect import read_image
 from epiprior.types import FloatArray, IntArray
-from epiprior_lab.pairsets import Camera, DatasetError
-from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, Pixels, read_pixels
+from epiprior_lab.pairsets import Camera, DatasetError, image_size
+from epiprior_lab.pairsets.cameras import median_angle_deg
+from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, Pixels
 
 HALF_PIXEL = 0.5
 _MIN_VIEWS = 3
 _MOST_ERROR_PX = 2.0
+_MOST_POINTS = 200
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairChoice:
-    """Which pairs of photographs are taken, and how many control points each gets.
+    """Which pairs of photographs are taken; SettingsError if a value is out of its range.
 
     Parameters
     ----------
@@ -35,35 +39,20 @@ class PairChoice:
         Range of the median angle between the rays to common points, degrees, in [0, 180].
     min_shared : int
         Common points that a pair has at least, >= 8.
-    min_overlap : float
-        Common points divided by the points of the photograph that has fewer, in [0, 1].
     max_pairs : int
         Most pairs of a scene, >= 1; where there are more, they are taken evenly over the angles.
-    max_points : int
-        Most control points of a pair, >= 8.
-
-    Raises
-    ------
-    SettingsError
-        If a value is out of its range.
     """
 
     min_angle_deg: float = 10.0
     max_angle_deg: float = 70.0
     min_shared: int = 12
-    min_overlap: float = 0.0
     max_pairs: int = 60
-    max_points: int = 200
 
     def __post_init__(self) -> None:
-        if not 0 <= self.min_angle_deg < self.max_angle_deg <= 180:
-            raise SettingsError(
-                f"min_angle_deg = {self.min_angle_deg}, max_angle_deg = {self.max_angle_deg}, expected 0 <= min < max "
-                "<= 180"
-            )
-        if not 0 <= self.min_overlap <= 1:
-            raise SettingsError(f"min_overlap = {self.min_overlap}, expected a number in [0, 1]")
-        for name, least in (("min_shared", 8), ("max_pairs", 1), ("max_points", 8)):
+        low, high = self.min_angle_deg, self.max_angle_deg
+        if not 0 <= low < high <= 180:
+            raise SettingsError(f"min_angle_deg = {low}, max_angle_deg = {high}, expected 0 <= min < max <= 180")
+        for name, least in (("min_shared", 8), ("max_pairs", 1)):
             if getattr(self, name) < least:
                 raise SettingsError(f"{name} = {getattr(self, name)}, expected {least} or more")
 
@@ -78,22 +67,29 @@ class View:
     points: FloatArray
 
 
-def views_of(reconstruction: Any, images: Path, *, prefix: str = "") -> list[View]:
-    """Return the registered photographs of a pycolmap reconstruction, undistorted, by name.
+def pairs_of_models(
+    models: Sequence[Any], photograph_of: Callable[[str], Photograph], scene: str, choice: PairChoice
+) -> tuple[list[FoundPair], set[Path]]:
+    """Return the pairs of pycolmap's reconstructions, and the files of the photographs that have a pose in one.
 
-    Parameters
-    ----------
-    reconstruction : pycolmap.Reconstruction
-        Points count that at least three photographs see with a mean reprojection error up to 2 px.
-    images : Path
-        Folder of the photographs, to which names are relative.
-    prefix : str
-        Leads the names of photographs in the new set.
+    Several reconstructions are scenes of their own, whose numbers lead the names of their photographs.
+    """
+    pairs: list[FoundPair] = []
+    placed: set[Path] = set()
+    for number, model in enumerate(models):
+        several = len(models) > 1
+        views = views_of(model, photograph_of, prefix=f"{number}_" if several else "")
+        placed |= {view.photograph.path for view in views}
+        pairs += choose_pairs(views, f"{scene}_{number}" if several else scene, choice)
+    return pairs, placed
 
-    Raises
-    ------
-    DatasetError
-        If a photograph is missing, has another size than its camera, or its camera has no undistorted form.
+
+def views_of(reconstruction: Any, photograph_of: Callable[[str], Photograph], *, prefix: str = "") -> list[View]:
+    """Return the photographs of a pycolmap reconstruction that have a pose, undistorted, by name.
+
+    Points count that at least three photographs see with a mean reprojection error up to 2 px. `prefix` leads the
+    names of the photographs in the new set. DatasetError if a photograph is missing, has another size than its camera,
+    or its camera has no undistorted form.
     """
     trusted = {
         point_id: point.xyz
@@ -104,15 +100,18 @@ def views_of(reconstruction: Any, images: Path, *, prefix: str = "") -> list[Vie
     for image in sorted(reconstruction.images.values(), key=lambda image: str(image.name)):
         if not image.has_pose:
             continue
-        path = images / image.name
+        photograph = photograph_of(image.name)
+        path, given = photograph.path, image.camera
         if not path.is_file():
             raise DatasetError(f"no image {path}, which the model names")
+        width, height = image_size(path, turn=False)
+        if (width, height) != (given.width, given.height):
+            raise DatasetError(f"{path}: is {width} x {height}, its camera in the model {given.width} x {given.height}")
         seen = sorted({point.point3D_id for point in image.points2D if point.has_point3D()} & trusted.keys())
         camera, develop = _undistorted(image, path)
-        name = prefix + "_".join(Path(image.name).with_suffix("").parts)
         views.append(
             View(
-                photograph=Photograph(name=name, path=path, camera=camera, develop=develop),
+                photograph=replace(photograph, name=prefix + photograph.name, camera=camera, develop=develop),
                 camera=camera,
                 point_ids=np.array(seen, dtype=np.int64),
                 points=np.array([trusted[point_id] for point_id in seen]).reshape(-1, 3),
@@ -144,10 +143,7 @@ def _develop(path: Path, camera: Any, distorted: bool) -> Pixels:
     """Return the pixels of a photograph without distortion; EXIF rotation is ignored, as COLMAP does."""
     import pycolmap
 
-    pixels = read_pixels(path, turn=False)
-    height, width = pixels.shape[:2]
-    if (width, height) != (camera.width, camera.height):
-        raise DatasetError(f"{path}: is {width} x {height}, its camera in the model {camera.width} x {camera.height}")
+    pixels = read_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if not distorted:
         return pixels
     bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(pixels[:, :, ::-1]))
@@ -156,21 +152,26 @@ def _develop(path: Path, camera: Any, distorted: bool) -> Pixels:
 
 
 def choose_pairs(views: list[View], scene: str, choice: PairChoice) -> list[FoundPair]:
-    """Return the pairs of a scene that `choice` asks for, in the order of names.
-
-    Control points are common points as both cameras see them, taken evenly over their ids.
-    """
+    """Return the pairs of a scene that `choice` asks for, in the order of names."""
     found = []
     for view1, view2 in combinations(views, 2):
         shared, at1, _ = np.intersect1d(view1.point_ids, view2.point_ids, return_indices=True)
         fewest = min(len(view1.point_ids), len(view2.point_ids))
-        if len(shared) < choice.min_shared or len(shared) < choice.min_overlap * fewest:
+        if len(shared) < choice.min_shared:
             continue
-        angle = _angle_deg(view1.camera, view2.camera, view1.points[at1])
-        points = _control_points(view1, view2, view1.points[at1], choice.max_points)
+        angle = median_angle_deg((view1.camera, view2.camera), view1.points[at1])
+        points = _control_points(view1, view2, view1.points[at1])
         if choice.min_angle_deg <= angle <= choice.max_angle_deg and len(points[0]) >= choice.min_shared:
             text = f"angle={angle:.1f}deg;covis_points={len(shared)};overlap={len(shared) / fewest:.2f}"
-            found.append((angle, _pair(view1, view2, scene, text, points)))
+            pair = FoundPair(
+                pair_id=f"{view1.photograph.name}_{view2.photograph.name}",
+                scene=scene,
+                image1=view1.photograph,
+                image2=view2.photograph,
+                difficulty=text,
+                points=points,
+            )
+            found.append((angle, pair))
     if len(found) > choice.max_pairs:
         by_angle = np.argsort([angle for angle, _ in found], kind="stable")
         kept = by_angle[np.linspace(0, len(found) - 1, choice.max_pairs).round().astype(int)]
@@ -178,32 +179,14 @@ def choose_pairs(views: list[View], scene: str, choice: PairChoice) -> list[Foun
     return [pair for _, pair in found]
 
 
-def _pair(view1: View, view2: View, scene: str, difficulty: str, points: tuple[FloatArray, FloatArray]) -> FoundPair:
-    return FoundPair(
-        pair_id=f"{view1.photograph.name}_{view2.photograph.name}",
-        scene=scene,
-        image1=view1.photograph,
-        image2=view2.photograph,
-        difficulty=difficulty,
-        points=points,
-    )
-
-
-def _angle_deg(camera1: Camera, camera2: Camera, points: FloatArray) -> float:
-    """Return the median angle between the rays to points, degrees."""
-    rays = [points - camera.centre for camera in (camera1, camera2)]
-    lengths = np.linalg.norm(rays[0], axis=1) * np.linalg.norm(rays[1], axis=1)
-    cosine = (rays[0] * rays[1]).sum(axis=1) / lengths
-    return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
-
-
-def _control_points(view1: View, view2: View, points: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """Return where both cameras see the points that lie in both images, at most so many."""
-    x1, _ = view1.camera.project(points)
-    x2, _ = view2.camera.project(points)
+def _control_points(view1: View, view2: View, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where both cameras see the points that lie in both images, at most 200, evenly over their ids."""
     inside = np.ones(len(points), dtype=bool)
-    for x, camera in ((x1, view1.camera), (x2, view2.camera)):
+    seen = []
+    for camera in (view1.camera, view2.camera):
+        x, _ = camera.project(points)
         inside &= ((x >= 0) & (x <= np.array([camera.width - 1.0, camera.height - 1.0]))).all(axis=1)
+        seen.append(x)
     kept = np.flatnonzero(inside)
-    kept = kept[np.linspace(0, len(kept) - 1, min(most, len(kept))).round().astype(int)]
-    return x1[kept], x2[kept]
+    kept = kept[np.linspace(0, len(kept) - 1, min(_MOST_POINTS, len(kept))).round().astype(int)]
+    return seen[0][kept], seen[1][kept]

@@ -5,7 +5,7 @@ export const NEEDED = 8; // pairs that decide F
 export const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 
 // Returns the sentence, and whether it is a warning.
-export function verdict(count, found, judgedFrom) {
+export function sentence(count, found, judgedFrom) {
   if (count < NEEDED) return [`${NEEDED - count} more until F can be fitted.`, false];
   if (!found) return ["…", false];
   if (!found.F) return ["These points decide no F: spread them over the images.", true];

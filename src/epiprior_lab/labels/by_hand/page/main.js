@@ -2,20 +2,20 @@
 
 import { Pairs } from "./pairs.js";
 import { Pane } from "./pane.js";
-import { NEEDED, fillList, plural, verdict } from "./list.js";
-import * as server from "./server.js";
+import { NEEDED, fillList, plural, sentence } from "./list.js";
+import { ask, image } from "./server.js";
 
 const byId = (id) => document.getElementById(id);
 
-let pairs, panes, revision, fileName, judgedFrom;
-let found = null; // the fit: F, and by id its residuals and who is far off
+let pairs, panes = [], revision, fileName, judgedFrom;
+let found = null; // the fit: F, and by id its residuals and which pairs are far off
 let fitted = null, fitting = false; // the list that was fitted last; whether an answer is awaited
 let selected = null, hovered = null, activeSide = 0, showLines = true, drawing = false, ended = false;
 
 // --- what is shown
 
 function redraw() {
-  if (drawing) return;
+  if (drawing || panes.length < 2) return;
   drawing = true;
   requestAnimationFrame(() => {
     drawing = false;
@@ -48,25 +48,26 @@ function lineOf([x, y], side) {
   return [0, 1, 2].map((row) => at(row, 0) * x + at(row, 1) * y + at(row, 2));
 }
 
-function refreshText() {
-  const { pending } = pairs;
+function refresh() {
+  const { pending, dirty } = pairs;
   const count = pairs.list.length;
   byId("count").textContent = count;
   byId("undo").disabled = !pairs.canUndo;
   byId("redo").disabled = !pairs.canRedo;
-  byId("save").disabled = !pairs.dirty;
-  byId("saved").textContent = pairs.dirty ? "not saved" : revision ? "saved" : "new";
-  byId("saved").classList.toggle("dirty", pairs.dirty);
+  byId("save").disabled = !dirty;
+  byId("saved").textContent = dirty ? "not saved" : revision ? "saved" : "new";
+  byId("saved").classList.toggle("dirty", dirty);
   const first = "Click a point in either image, then the same point in the other.";
   const next = `Now the same point in the ${pending?.side === 0 ? "second" : "first"} image.`;
   byId("hint").textContent = pending ? next : count ? "" : first;
   byId("hint").classList.toggle("next", Boolean(pending));
-  panes.forEach((pane) => pane.root.classList.toggle("wanted", Boolean(pending) && pending.side !== pane.side));
-  document.title = `${pairs.dirty ? "• " : ""}${fileName} · epiprior label`;
-  const [text, bad] = verdict(count, found, judgedFrom);
-  byId("verdict").textContent = text;
-  byId("verdict").classList.toggle("bad", bad);
+  for (const pane of panes) pane.root.classList.toggle("wanted", Boolean(pending) && pending.side !== pane.side);
+  document.title = `${dirty ? "• " : ""}${fileName} · epiprior label`;
+  const [text, bad] = sentence(count, found, judgedFrom);
+  byId("fitted").textContent = text;
+  byId("fitted").classList.toggle("bad", bad);
   fillList(byId("list"), pairs, found, { selected, hovered });
+  redraw();
 }
 
 function say(text, actions = []) {
@@ -87,8 +88,7 @@ function changed() {
   if (!pairs.find(selected)) selected = null;
   if (!pairs.find(hovered)) hovered = null;
   if (pairs.list.length < NEEDED) found = null;
-  refreshText();
-  redraw();
+  refresh();
   return fitAgain();
 }
 
@@ -99,36 +99,35 @@ async function fitAgain() {
   while (pairs.list.length >= NEEDED && fitted !== pairs.list) {
     const list = pairs.list;
     try {
-      found = arranged(list, await server.fit(list.map(({ points }) => points.flat())));
+      found = arranged(list, await ask("fit", { points: list.map(({ points }) => points.flat()) }));
     } catch (error) {
       found = null;
       if (!ended) say(error.message);
     }
     fitted = list;
     if (pairs.list.length < NEEDED) found = null;
-    refreshText();
-    redraw();
+    refresh();
   }
   fitting = false;
 }
 
-function arranged(list, sent) {
-  if (!sent.F) return { F: null, residuals: new Map(), farOff: new Set() };
+function arranged(list, { F, residuals = [], far_off = [], one_plane: onePlane = false }) {
+  const far = list.filter((_, index) => far_off[index]);
   return {
-    F: sent.F,
-    residuals: new Map(list.map(({ id }, index) => [id, sent.residuals[index]])),
-    farOff: new Set(list.filter((_, index) => sent.far_off[index]).map(({ id }) => id)),
-    onePlane: sent.one_plane,
+    F,
+    onePlane,
+    residuals: new Map(F ? list.map(({ id }, index) => [id, residuals[index]]) : []),
+    farOff: new Set(far.map(({ id }) => id)),
   };
 }
 
 function select(id) {
   selected = id;
-  refreshText();
-  redraw();
+  refresh();
 }
 
 function remove(id) {
+  if (id === null) return;
   pairs.remove(id);
   changed();
 }
@@ -138,11 +137,9 @@ const events = {
   hover(side, id) {
     activeSide = side;
     const now = typeof id === "number" ? id : null;
-    if (now !== hovered) {
-      hovered = now;
-      refreshText();
-    }
-    redraw();
+    if (now === hovered) return redraw();
+    hovered = now;
+    return refresh();
   },
   select: (id) => select(id === "pending" ? null : id),
   place(side, xy) {
@@ -161,10 +158,13 @@ const events = {
 
 // --- the server
 
+// Returns a function whose error is shown.
+const attempt = (act) => () => act().catch((error) => say(error.message));
+
 async function save() {
   const points = pairs.points();
   try {
-    ({ revision } = await server.save(points, revision));
+    ({ revision } = await ask("save", { points, revision }));
   } catch (error) {
     if (error.status === 409) {
       say(`${error.message}.`, [["Save mine all the same", overwrite], ["Load that file instead", load]]);
@@ -175,52 +175,38 @@ async function save() {
   }
   say(null);
   pairs.markSaved(points);
-  refreshText();
+  refresh();
   return true;
 }
 
-async function overwrite() {
-  try {
-    ({ revision } = await server.state());
-    await save();
-  } catch (error) {
-    say(error.message);
-  }
-}
+const overwrite = attempt(async () => {
+  ({ revision } = await ask("state"));
+  await save();
+});
 
-async function load() {
-  try {
-    const state = await server.state();
-    revision = state.revision;
-    pairs.replace(state.points);
-    changed();
-  } catch (error) {
-    say(error.message);
-  }
-}
+const load = attempt(async () => {
+  const state = await ask("state");
+  revision = state.revision;
+  pairs.replace(state.points);
+  changed();
+});
 
-async function done() {
+const done = attempt(async () => {
   if (pairs.dirty && !(await save())) return;
-  try {
-    const { count } = await server.done();
-    ended = true;
-    byId("end").hidden = false;
-    byId("end").firstElementChild.textContent =
-      count === null ? "Nothing was saved. You can close this tab."
-        : `${plural(count, "pair")} of points in ${fileName}. You can close this tab.`;
-  } catch (error) {
-    say(error.message);
-  }
-}
+  const { count } = await ask("done", {});
+  ended = true;
+  byId("end").hidden = false;
+  const what = count === null ? "Nothing was saved." : `${plural(count, "pair")} of points in ${fileName}.`;
+  byId("end").firstElementChild.textContent = `${what} You can close this tab.`;
+});
 
 // --- keys and buttons
 
-function toggle(button, shown) {
-  byId(button).setAttribute("aria-pressed", String(shown));
-}
-
+const toggle = (button, shown) => byId(button).setAttribute("aria-pressed", String(shown));
 const fitAll = () => panes.forEach((pane) => pane.fit());
 const back = (step) => () => { pairs[step](); changed(); };
+const zoom = (factor) => () => panes[activeSide].zoomTo(panes[activeSide].scale * factor);
+const removeSelected = () => remove(selected);
 
 function toggleLines() {
   showLines = !showLines;
@@ -228,12 +214,12 @@ function toggleLines() {
   redraw();
 }
 
-function toggleKeys(shown = byId("keys").hidden) {
-  byId("keys").hidden = !shown;
-  toggle("help", shown);
+function toggleKeys() {
+  byId("keys").hidden = !byId("keys").hidden;
+  toggle("help", !byId("keys").hidden);
 }
 
-function nudge(dx, dy, event) {
+const nudge = (dx, dy) => (event) => {
   const pair = pairs.find(selected);
   if (!pair) return;
   const pane = panes[activeSide];
@@ -241,37 +227,25 @@ function nudge(dx, dy, event) {
   const [x, y] = pair.points[activeSide];
   pairs.move(selected, activeSide, pane.clamp([x + dx * step, y + dy * step]));
   changed();
-}
+};
 
 function escape() {
-  if (!byId("keys").hidden) return toggleKeys(false);
-  if (pairs.pending) {
-    pairs.dropPending();
-    return changed();
-  }
-  return select(null);
+  if (!byId("keys").hidden) return toggleKeys();
+  if (!pairs.pending) return select(null);
+  pairs.dropPending();
+  return changed();
 }
 
 const keys = {
-  ArrowLeft: (event) => nudge(-1, 0, event),
-  ArrowRight: (event) => nudge(1, 0, event),
-  ArrowUp: (event) => nudge(0, -1, event),
-  ArrowDown: (event) => nudge(0, 1, event),
-  Delete: () => selected !== null && remove(selected),
-  Backspace: () => selected !== null && remove(selected),
-  Escape: escape,
-  "+": () => panes[activeSide].zoom(1.25),
-  "=": () => panes[activeSide].zoom(1.25),
-  "-": () => panes[activeSide].zoom(0.8),
-  1: () => panes[activeSide].zoomTo(1 / devicePixelRatio),
-  f: fitAll,
-  l: toggleLines,
-  "?": () => toggleKeys(),
+  ArrowLeft: nudge(-1, 0), ArrowRight: nudge(1, 0), ArrowUp: nudge(0, -1), ArrowDown: nudge(0, 1),
+  Delete: removeSelected, Backspace: removeSelected, Escape: escape,
+  "+": zoom(1.25), "=": zoom(1.25), "-": zoom(0.8), 1: () => panes[activeSide].zoomTo(1 / devicePixelRatio),
+  f: fitAll, l: toggleLines, "?": toggleKeys,
 };
 const controlKeys = { z: back("undo"), y: back("redo"), Z: back("redo"), s: save };
+const buttons = { undo: back("undo"), redo: back("redo"), fit: fitAll, lines: toggleLines, help: toggleKeys, save, done };
 
 function listen() {
-  const buttons = { undo: back("undo"), redo: back("redo"), fit: fitAll, lines: toggleLines, help: () => toggleKeys(), save, done };
   for (const [id, act] of Object.entries(buttons)) byId(id).addEventListener("click", () => act());
   addEventListener("keydown", (event) => {
     const control = event.ctrlKey || event.metaKey;
@@ -291,8 +265,7 @@ function listen() {
     const id = idOf(event);
     if (id === null) return;
     if (event.target.closest("button")) return remove(id);
-    const pair = pairs.find(id);
-    panes.forEach((pane) => pane.show(pair.points[pane.side]));
+    for (const pane of panes) pane.show(pairs.find(id).points[pane.side]);
     select(id);
   });
   const hoverRow = (id) => {
@@ -305,21 +278,13 @@ function listen() {
   list.addEventListener("mouseleave", () => hoverRow(null));
 }
 
-async function start() {
-  try {
-    const [state, ...pictures] = await Promise.all([server.state(), server.image(1), server.image(2)]);
-    ({ revision, file: fileName, judged_from: judgedFrom } = state);
-    pairs = new Pairs(state.points);
-    panes = [];
-    byId("file").textContent = fileName;
-    const quiet = { ...events, changed: () => panes.length === 2 && redraw() };
-    for (const side of [0, 1]) panes.push(new Pane(byId(`pane${side + 1}`), side, pictures[side], state.images[side], quiet));
-    listen();
-    await changed();
-    document.body.dataset.ready = "yes";
-  } catch (error) {
-    say(error.message);
-  }
-}
-
-start();
+attempt(async () => {
+  const [state, ...pictures] = await Promise.all([ask("state"), image(1), image(2)]);
+  ({ revision, file: fileName, judged_from: judgedFrom } = state);
+  pairs = new Pairs(state.points);
+  byId("file").textContent = fileName;
+  for (const side of [0, 1]) panes.push(new Pane(byId(`pane${side + 1}`), side, pictures[side], state.images[side], events));
+  listen();
+  await changed();
+  document.body.dataset.ready = "yes";
+})();

@@ -65,16 +65,13 @@ export class Pairs {
     if (this.pending) this.#follow({ ...this.now, pending: null });
   }
 
-  undo() {
-    if (!this.canUndo) return;
-    this.future.push(this.now);
-    this.now = this.past.pop();
-  }
+  undo() { this.#step(this.past, this.future); }
+  redo() { this.#step(this.future, this.past); }
 
-  redo() {
-    if (!this.canRedo) return;
-    this.past.push(this.now);
-    this.now = this.future.pop();
+  #step(from, to) {
+    if (!from.length) return;
+    to.push(this.now);
+    this.now = from.pop();
   }
 
   #follow(state, going = false) {

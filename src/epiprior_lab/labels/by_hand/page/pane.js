@@ -41,6 +41,7 @@ export class Pane {
 
   // --- what part of the image is seen
 
+  get middle() { return [this.wide / 2, this.high / 2]; }
   get fitting() { return Math.min(this.wide / this.width, this.high / this.height) * 0.98; }
 
   fit() {
@@ -54,11 +55,7 @@ export class Pane {
     this.#keepInSight();
   }
 
-  zoom(factor, at = this.cursor ?? [this.wide / 2, this.high / 2]) {
-    this.zoomTo(this.scale * factor, at);
-  }
-
-  zoomTo(scale, at = this.cursor ?? [this.wide / 2, this.high / 2]) {
+  zoomTo(scale, at = this.cursor ?? this.middle) {
     const kept = this.toImage(at);
     this.scale = Math.min(Math.max(scale, Math.min(this.fitting, 1) * 0.5), LARGEST_SCALE);
     this.left = at[0] - (kept[0] + 0.5) * this.scale;
@@ -81,7 +78,7 @@ export class Pane {
   #resized() {
     const wide = this.canvas.clientWidth, high = this.canvas.clientHeight;
     if (!wide || !high || (wide === this.wide && high === this.high && this.ratio === devicePixelRatio)) return;
-    const middle = this.scale ? this.toImage([this.wide / 2, this.high / 2]) : null;
+    const middle = this.scale ? this.toImage(this.middle) : null;
     const fitted = !middle || Math.abs(this.scale / this.fitting - 1) < 1e-6;
     Object.assign(this, { wide, high, ratio: devicePixelRatio });
     this.canvas.width = Math.round(wide * devicePixelRatio);
@@ -95,20 +92,21 @@ export class Pane {
 
   #listen() {
     const { canvas } = this;
-    canvas.addEventListener("pointerdown", (event) => this.#pressed(event));
-    canvas.addEventListener("pointermove", (event) => this.#moved(event));
-    canvas.addEventListener("pointerup", (event) => this.#released(event));
-    canvas.addEventListener("pointercancel", () => { this.press = null; });
-    canvas.addEventListener("pointerleave", () => {
+    const on = (kind, act) => canvas.addEventListener(kind, act);
+    on("pointerdown", (event) => this.#pressed(event));
+    on("pointermove", (event) => this.#moved(event));
+    on("pointerup", (event) => this.#released(event));
+    on("pointercancel", () => { this.press = null; });
+    on("contextmenu", (event) => event.preventDefault());
+    on("pointerleave", () => {
       this.cursor = null;
       this.on.hover(this.side, null);
     });
-    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       const lines = event.deltaMode === 1 ? 33 : 1;
       const speed = event.ctrlKey ? 0.01 : 0.0018; // a pinch comes as a wheel with Ctrl
-      this.zoom(Math.exp(-event.deltaY * lines * speed), this.#fromMouse(event));
+      this.zoomTo(this.scale * Math.exp(-event.deltaY * lines * speed), this.#fromMouse(event));
     }, { passive: false });
   }
 
@@ -147,10 +145,9 @@ export class Pane {
       this.on.hover(this.side, id);
       return;
     }
-    const far = Math.hypot(at[0] - press.start[0], at[1] - press.start[1]) > DRAG;
-    if (!press.dragged && !far) return;
     const going = press.dragged;
-    press.dragged = true;
+    press.dragged ||= Math.hypot(at[0] - press.start[0], at[1] - press.start[1]) > DRAG;
+    if (!press.dragged) return;
     const [dx, dy] = [at[0] - press.last[0], at[1] - press.last[1]];
     press.last = at;
     if (press.id === null) {
@@ -210,6 +207,18 @@ export class Pane {
     paper.setLineDash([]);
   }
 
+  #cross(x, y, from, to) {
+    for (const [u, v] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+      this.paper.moveTo(x + u * from, y + v * from);
+      this.paper.lineTo(x + u * to, y + v * to);
+    }
+  }
+
+  #rounded(x, y, wide, high, radius) {
+    this.paper.beginPath();
+    this.paper.roundRect(x, y, wide, high, radius);
+  }
+
   #drawMarker(xy, number, { colour, far = false, strong = false, open = false }) {
     const { paper } = this;
     const [x, y] = this.toCanvas(xy);
@@ -217,10 +226,7 @@ export class Pane {
     const radius = strong ? 10 : 8;
     paper.beginPath();
     paper.arc(x, y, radius, 0, 2 * Math.PI);
-    for (const [u, v] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
-      paper.moveTo(x + u * (radius - 4), y + v * (radius - 4));
-      paper.lineTo(x + u * (radius + 4), y + v * (radius + 4));
-    }
+    this.#cross(x, y, radius - 4, radius + 4);
     this.#stroke(colour, strong ? 2.4 : 1.6, open ? [3, 3] : []);
     if (far) {
       paper.beginPath();
@@ -230,13 +236,10 @@ export class Pane {
     paper.font = "600 11px system-ui, sans-serif";
     const text = far ? `${number} !` : number;
     const wide = paper.measureText(text).width + 8;
-    const [left, top] = [
-      x + radius + 3 + wide < this.wide ? x + radius + 3 : x - radius - 3 - wide,
-      Math.max(y - radius - 11, 1),
-    ];
+    const left = x + radius + 3 + wide < this.wide ? x + radius + 3 : x - radius - 3 - wide;
+    const top = Math.max(y - radius - 11, 1);
     paper.fillStyle = far ? "#ff5a52" : colour;
-    paper.beginPath();
-    paper.roundRect(left, top, wide, 15, 4);
+    this.#rounded(left, top, wide, 15, 4);
     paper.fill();
     paper.fillStyle = "#16181b";
     paper.textBaseline = "middle";
@@ -261,8 +264,8 @@ export class Pane {
     const ends = [];
     for (const x of [-0.5, right]) if (b) ends.push([x, -(a * x + c) / b]);
     for (const y of [-0.5, bottom]) if (a) ends.push([-(b * y + c) / a, y]);
-    const slack = 1e-6;
-    const kept = ends.filter(([x, y]) => x >= -0.5 - slack && x <= right + slack && y >= -0.5 - slack && y <= bottom + slack);
+    const between = (value, end) => value >= -0.5 - 1e-6 && value <= end + 1e-6;
+    const kept = ends.filter(([x, y]) => between(x, right) && between(y, bottom));
     const along = ([x, y]) => b * x - a * y;
     kept.sort((p, q) => along(p) - along(q));
     return kept.length > 1 ? [kept[0], kept.at(-1)] : null;
@@ -281,8 +284,7 @@ export class Pane {
     const [x, y] = near ? [corner[0], 46] : corner; // out of the cursor's way
     const [u, v] = [x + LOUPE / 2, y + LOUPE / 2];
     paper.save();
-    paper.beginPath();
-    paper.roundRect(x, y, LOUPE, LOUPE, 10);
+    this.#rounded(x, y, LOUPE, LOUPE, 10);
     paper.fillStyle = "#121316";
     paper.fill();
     paper.clip();
@@ -290,14 +292,10 @@ export class Pane {
     const [left, top] = [u - (centre[0] + 0.5) * scale, v - (centre[1] + 0.5) * scale];
     paper.drawImage(this.picture, left, top, this.width * scale, this.height * scale);
     paper.beginPath();
-    for (const [du, dv] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
-      paper.moveTo(u + 5 * du, v + 5 * dv);
-      paper.lineTo(u + 22 * du, v + 22 * dv);
-    }
+    this.#cross(u, v, 5, 22);
     this.#stroke(waiting ? this.scene.pendingColour : "#ffffff", 1);
     paper.restore();
-    paper.beginPath();
-    paper.roundRect(x + 0.5, y + 0.5, LOUPE - 1, LOUPE - 1, 10);
+    this.#rounded(x + 0.5, y + 0.5, LOUPE - 1, LOUPE - 1, 10);
     paper.strokeStyle = waiting ? this.scene.pendingColour : "#59606b";
     paper.lineWidth = 1.5;
     paper.stroke();

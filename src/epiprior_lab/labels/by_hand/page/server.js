@@ -1,31 +1,15 @@
 // What the page asks of the server. All addresses are relative: the secret is part of the page's own address.
 
-export class ServerError extends Error {
-  constructor(message, status) {
-    super(message);
-    this.status = status;
-  }
-}
-
-async function ask(route, options = {}) {
-  let answer;
-  try {
-    answer = await fetch(route, options);
-  } catch {
-    throw new ServerError("The server does not answer: has the command ended? Nothing can be saved from this page.", 0);
-  }
+// Gets a route, or posts a value to it; an error of the server has its status.
+export async function ask(route, value) {
+  const posted = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(value) };
+  const answer = await fetch(route, value === undefined ? {} : posted).catch(() => {
+    throw new Error("The server does not answer: has the command ended? Nothing can be saved from this page.");
+  });
   const sent = await answer.json();
-  if (!answer.ok) throw new ServerError(sent.error ?? `the server says ${answer.status}`, answer.status);
-  return sent;
+  if (answer.ok) return sent;
+  throw Object.assign(new Error(sent.error ?? `the server says ${answer.status}`), { status: answer.status });
 }
-
-const post = (route, value) =>
-  ask(route, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(value) });
-
-export const state = () => ask("state");
-export const fit = (points) => post("fit", { points });
-export const save = (points, revision) => post("save", { points, revision });
-export const done = () => post("done", {});
 
 export async function image(number) {
   const picture = new Image();
