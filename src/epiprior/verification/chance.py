@@ -22,6 +22,7 @@ from epiprior.matching.selection import first_of_equal
 from epiprior.types import BoolArray, FloatArray
 
 HYPOTHESES = 100_000
+MATCHES_PER_F = 7
 _PAIRINGS = 20_000
 _PRIOR_PAIRINGS = 50.0
 
