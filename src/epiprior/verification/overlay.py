@@ -18,6 +18,7 @@ from epiprior.verification.spread import CELL_PX
 _SAME_PX = 1.0
 _RING_PX = (2.0, 5.0)
 _MIN_REPEATED = 3
+_STOOD_STILL = 0.9  # more of the matches in place are no overlay: see `why_degenerate`
 
 
 def why_overlay(F: FloatArray, x1: FloatArray, x2: FloatArray, *, threshold_px: float, rate: float) -> str:
@@ -48,7 +49,7 @@ def why_overlay(F: FloatArray, x1: FloatArray, x2: FloatArray, *, threshold_px: 
     length = np.linalg.norm(moved, axis=1)
     still = np.count_nonzero(length <= _SAME_PX)
     around = np.count_nonzero((length > _RING_PX[0]) & (length <= _RING_PX[1]))
-    if still < _MIN_REPEATED or still <= around:
+    if still < _MIN_REPEATED or still <= around or still > _STOOD_STILL * len(moved):
         return ""
     tree = cKDTree(moved)
     same, inner, outer = (tree.query_ball_point(moved, px, return_length=True) for px in (_SAME_PX, *_RING_PX))
