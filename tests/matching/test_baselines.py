@@ -1,4 +1,4 @@
-"""Inputs without preprocessing: handed-in features, and the many candidates of generalised RANSAC."""
+"""Inputs that are not ranked: standard matches, mutual nearest neighbours, candidates of generalised RANSAC."""
 
 from __future__ import annotations
 
@@ -108,3 +108,20 @@ def test_pictures_without_texture():
 def test_settings_out_of_range_are_refused(bad):
     with pytest.raises(SettingsError, match=next(iter(bad))):
         epiprior.generalized_matches(*relief_pair(), **bad)
+
+
+def test_standard_matches_are_the_papers():
+    found = standard_matches(*relief_pair())
+    assert (np.diff(found.distance_ratio) >= 0).all()
+    assert found.distance_ratio.max() <= 0.9
+    assert np.isnan(found.probability).all()
+    fewer = standard_matches(*relief_pair(), max_distance_ratio=0.6)
+    assert 0 < len(fewer) < len(found)
+    np.testing.assert_array_equal(fewer.x1, found.x1[: len(fewer)])
+
+
+def test_snn_is_mutual_and_ordered():
+    found = snn_matches(*relief_pair())
+    assert (np.diff(found.distance_ratio) >= 0).all()
+    assert found.distance_ratio.max() < 0.85
+    assert len({tuple(x) for x in np.column_stack([found.x2, found.orientation2_deg])}) == len(found)

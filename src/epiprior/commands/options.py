@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from epiprior import mode
+from epiprior import presets
 from epiprior.commands.printing import complain
 
 if TYPE_CHECKING:
@@ -23,20 +23,10 @@ Image2 = Annotated[Path, typer.Argument(metavar="B", help="Second photograph.", 
 Preset = Annotated[str, typer.Option(help="'default' (the best measured) or 'paper' (as printed).")]
 Estimator = Annotated[str, typer.Option(help="See 'epiprior estimators'.")]
 Mode = Annotated[
-    mode.Mode | None,
+    presets.Mode,
     typer.Option(
-        help="'preprocess': matches are ranked by probability first (the default). 'standard': the paper's standard "
-        "matches. 'cascade': standard matches first; ranked ones only if inliers cover little or F is implausible.",
-        show_default=False,
-    ),
-]
-Preprocess = Annotated[
-    bool, typer.Option(help="Rank matches by probability first; without it, the paper's standard matches are used.")
-]
-PreprocessSwitch = Annotated[
-    bool | None,
-    typer.Option(
-        "--preprocess/--no-preprocess", help="Short for '--mode preprocess' and '--mode standard'.", show_default=False
+        help="'preprocess': matches are ranked by probability first. 'standard': the paper's standard matches. "
+        "'cascade': standard matches first; ranked ones only if inliers cover little or F is implausible.",
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Of the random draw; same seed, same result.")]

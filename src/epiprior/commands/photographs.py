@@ -21,8 +21,6 @@ from epiprior.commands.options import (
     MaxFeatures,
     MaxImageSize,
     Mode,
-    Preprocess,
-    PreprocessSwitch,
     Preset,
     Seed,
     Threshold,
@@ -73,8 +71,7 @@ def estimate(
     image2: Image2,
     *,
     estimator: Estimator = "epiprior",
-    mode: Mode = None,
-    preprocess: PreprocessSwitch = None,
+    mode: Mode = "preprocess",
     seed: Seed = 0,
     threshold: Threshold = None,
     preset: Preset = "default",
@@ -99,7 +96,6 @@ def estimate(
         image2,
         estimator=estimator,
         mode=mode,
-        preprocess=preprocess,
         settings=chosen_settings(preset, features, max_image_size, max_features),
         seed=seed,
         threshold_px=threshold,
@@ -117,7 +113,7 @@ def draw(
     *,
     out: Annotated[Path, typer.Option(help="Figure to write: .png or .jpg.", show_default=False)],
     estimator: Estimator = "epiprior",
-    preprocess: Preprocess = True,
+    mode: Mode = "preprocess",
     seed: Seed = 0,
     threshold: Threshold = None,
     preset: Preset = "default",
@@ -137,18 +133,18 @@ def draw(
     from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
 
     settings = chosen_settings(preset, features, max_image_size, max_features)
-    ranked = rank_matches(image1, image2, settings=settings) if preprocess else None
+    ranked = None if mode == "standard" else rank_matches(image1, image2, settings=settings)
     found = estimate_fundamental(
         image1,
         image2,
         estimator=estimator,
-        preprocess=preprocess,
+        mode=mode,
         settings=settings,
         seed=seed,
         threshold_px=threshold,
         ranked=ranked,
     )
-    if ranked is None:
+    if ranked is None or found.input != settings.name:
         shown = standard_matches(image1, image2, features=replace(settings.features, root=False))
     else:
         shown = min(ranked.sets, key=lambda s: abs(math.remainder(s.roll_deg - found.roll_deg, 360)))
@@ -162,7 +158,7 @@ def colmap(
     *,
     database: Annotated[Path, typer.Option(help="COLMAP database to write; must not exist.", show_default=False)],
     estimator: Estimator = "epiprior",
-    mode: Mode = None,
+    mode: Mode = "preprocess",
     seed: Seed = 0,
     threshold: Threshold = None,
     preset: Preset = "default",

@@ -12,8 +12,6 @@ from epiprior.errors import FeatureError
 from epiprior.features.images import Photograph
 from epiprior.types import Features, Float32Array, FloatArray
 
-# The stubs of OpenCV lack the factories of detectors.
-_detectors: Any = cv2
 # Lowe's pyramid as OpenCV and VLFeat build it: sigma of its base, layers of an octave.
 _BASE_SIGMA = 1.6
 _LAYERS = 3
@@ -35,9 +33,8 @@ def describe_frames(grey: NDArray[np.uint8], frames: FloatArray) -> Float32Array
         cv2.KeyPoint(px, py, size, turn, 0.0, pack)
         for px, py, size, turn, pack in zip(*(c.tolist() for c in columns), strict=True)
     ]
-    # Without the precise upscaling OpenCV's keypoints are biased by a quarter of a pixel.
-    sift = _detectors.SIFT_create(enable_precise_upscale=True)
-    kept, descriptors = sift.compute(grey, keypoints)
+    opencv: Any = cv2  # its stubs lack the factories of detectors
+    kept, descriptors = opencv.SIFT_create(enable_precise_upscale=True).compute(grey, keypoints)
     if descriptors is None or len(kept) != len(frames):
         raise FeatureError(f"SIFT described {len(kept)} of {len(frames)} features; are they inside the image?")
     return np.asarray(descriptors, dtype=np.float32)
@@ -46,14 +43,7 @@ def describe_frames(grey: NDArray[np.uint8], frames: FloatArray) -> Float32Array
 def describe_at_orientation(photograph: Photograph, features: Features, orientation_deg: float) -> Float32Array:
     """Return descriptors with every feature's orientation fixed to one angle (section 4.2, generalised upright SIFT).
 
-    Parameters
-    ----------
-    photograph : Photograph
-        The image the features lie in.
-    features : Features
-        N features, pixels of the image as given.
-    orientation_deg : float
-        The orientation, degrees clockwise on the screen.
+    The angle is in degrees, clockwise on the screen; `features` are in pixels of the image as given.
 
     Returns
     -------
@@ -71,21 +61,9 @@ def describe_at_orientation(photograph: Photograph, features: Features, orientat
 
 
 def normalise_descriptors(descriptors: Float32Array, *, root: bool, centred: bool) -> Float32Array:
-    """Return unit descriptors, whose inner product is the similarity (section 4.1).
+    """Return unit descriptors, whose inner product is the similarity (section 4.1); `FeatureSettings` tells the forms.
 
-    Parameters
-    ----------
-    descriptors : ndarray, shape (N, D), float32
-        Descriptors; for `root`, non-negative ones.
-    root : bool
-        Take the square root of the L1-normalised descriptor first.
-    centred : bool
-        Subtract each descriptor's mean: normalised cross-correlation.
-
-    Returns
-    -------
-    ndarray, shape (N, D), float32
-        A descriptor without any contrast stays zero.
+    Shape (N, D), as given; for `root` they must not be negative. A descriptor without any contrast stays zero.
     """
     d = np.asarray(descriptors, dtype=np.float32)
     if root:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.features.detect import detect_features
 from epiprior.features.images import View, describe_photograph, load_photograph
+from epiprior.presets import FeatureSettings
 from epiprior.types import Features
 
 _FEW = 100

@@ -20,7 +20,7 @@ import numpy as np
 from epiprior.errors import ImageError, OutputError
 from epiprior.features.images import read_image
 from epiprior.io.output import check_output, replacing
-from epiprior.matching.selection import one_to_one_mask
+from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray
 
 _HALF_PIXEL = 0.5

@@ -26,27 +26,33 @@ def residual(f0, f1, f2, f3, f4, f5, f6, f7, f8, x, y, u, v):  # type: ignore[no
     return u * l0 + v * l1 + l2, l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1
 
 
-@compiled(inline="always")
-def residual_of(F, x, y, u, v):  # type: ignore[no-untyped-def]
-    """Return `residual` of `F`, shape (3, 3)."""
-    return residual(F[0, 0], F[0, 1], F[0, 2], F[1, 0], F[1, 1], F[1, 2], F[2, 0], F[2, 1], F[2, 2], x, y, u, v)
+@compiled
+def residuals(F, columns, first, last, error_sq, gradient_sq):  # type: ignore[no-untyped-def]
+    """Write the squared error and the squared gradient of the matches first..last; r^2 is their ratio."""
+    x, y, u, v = columns[0, first:last], columns[1, first:last], columns[2, first:last], columns[3, first:last]
+    f0, f1, f2 = F[0, 0], F[0, 1], F[0, 2]
+    f3, f4, f5 = F[1, 0], F[1, 1], F[1, 2]
+    f6, f7, f8 = F[2, 0], F[2, 1], F[2, 2]
+    for i in range(len(x)):
+        e, gradient_sq[i] = residual(f0, f1, f2, f3, f4, f5, f6, f7, f8, x[i], y[i], u[i], v[i])
+        error_sq[i] = e * e
 
 
-@compiled(error_model="numpy")
-def squared_distances(F, columns, out):  # type: ignore[no-untyped-def]
-    """Write the squared Sampson distance of every match to `out`; inf where both epipolar lines are undefined."""
+@compiled
+def squared_distances(F, columns, out, gradient_sq):  # type: ignore[no-untyped-def]
+    """Write the squared Sampson distances of all matches; inf where both epipolar lines are undefined."""
+    residuals(F, columns, 0, len(out), out, gradient_sq)
     for i in range(len(out)):
-        e, gradient = residual_of(F, columns[0, i], columns[1, i], columns[2, i], columns[3, i])
-        out[i] = e * e / gradient if gradient > 0.0 else np.inf
+        out[i] = out[i] / gradient_sq[i] if gradient_sq[i] > 0.0 else np.inf
 
 
-@compiled(error_model="numpy")
-def tukey_weights(F, columns, gain, limit_sq, out):  # type: ignore[no-untyped-def]
+@compiled
+def tukey_weights(F, columns, gain, limit_sq, out, gradient_sq):  # type: ignore[no-untyped-def]
     """Write Tukey's weight of every match times its `gain`, over the squared gradient.
 
     Divided by the squared gradient, the algebraic residual that a weighted fit minimises is the Sampson distance.
     """
+    residuals(F, columns, 0, len(out), out, gradient_sq)
     for i in range(len(out)):
-        e, gradient = residual_of(F, columns[0, i], columns[1, i], columns[2, i], columns[3, i])
-        rest = 1.0 - e * e / (gradient * limit_sq) if gradient > 0.0 else 0.0
-        out[i] = gain[i] * rest * rest / gradient if rest > 0.0 else 0.0
+        rest = 1.0 - out[i] / (gradient_sq[i] * limit_sq) if gradient_sq[i] > 0.0 else 0.0
+        out[i] = gain[i] * rest * rest / gradient_sq[i] if rest > 0.0 else 0.0

@@ -17,8 +17,7 @@ import math
 import numpy as np
 from scipy.special import bdtrc
 
-from epiprior.geometry import sampson_distance
-from epiprior.matching.selection import first_of_equal
+from epiprior.geometry import first_of_equal, sampson_distance
 from epiprior.types import BoolArray, FloatArray
 
 HYPOTHESES = 100_000
