@@ -111,14 +111,14 @@ def test_the_alpha_channel_is_turned_with_the_image(tmp_path, orientation):
 
 def test_too_few_matches_name_the_image_and_what_to_set(tmp_path):
     blank = encode(tmp_path / "blank.png", np.full((180, 240), 7, np.uint8))
-    strip = encode(tmp_path / "strip.png", np.tile(texture(480, 60), (1, 8)))
+    strip = encode(tmp_path / "strip.png", np.tile(texture(480, 30), (1, 8)))
     whole = encode(tmp_path / "whole.png", PICTURE)
     found = estimate_fundamental(whole, blank, mode="standard")
     assert f"{blank}: 0 features (darkest 7, brightest 7; worked at 240 x 180): the image is blank" in found.message
     assert "whole.png" not in found.message
     found = estimate_fundamental(strip, PICTURE[:4, :4], mode="standard")
     assert f"{strip}: 0 features (darkest " in found.message
-    assert "worked at 1024 x 16): set --max-image-size higher, the image is 3840 x 60" in found.message
+    assert "worked at 1024 x 8): set --max-image-size higher, the image is 3840 x 30" in found.message
     assert "; image 2: 0 features" in found.message
 
 

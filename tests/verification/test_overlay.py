@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import pytest
 
-from epiprior.estimators import run
+from synthetic import run
 from epiprior.matching.baselines import standard_matches
 from epiprior.types import Status
 from pictures import relief_pair, texture

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from epiprior.geometry import MIN_MATCHES, sampson_distance
 from epiprior.types import FloatArray
 from epiprior.verification.chance import MATCHES_PER_F, beyond_chance, distinct_count
-from epiprior.verification.spread import CELL_PX
+from epiprior.verification.measures import CELL_PX
 
 _SAME_PX = 1.0
 _RING_PX = (2.0, 5.0)
