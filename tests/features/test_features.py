@@ -159,7 +159,7 @@ def test_opencv_and_colmap_sift_agree_on_the_pixel_origin():
     ("image", "message"),
     [
         (np.zeros((4, 4), np.float32), "float32"),
-        (np.zeros((4, 4, 4), np.uint8), r"\(4, 4, 4\)"),
+        (np.zeros((4, 4, 2), np.uint8), r"\(4, 4, 2\)"),
         (np.zeros((0, 4), np.uint8), "empty"),
         (7, "int"),
         ("no/such.jpg", "no/such.jpg"),

@@ -21,6 +21,7 @@ from epiprior.geometry import first_of_equal, sampson_distance
 from epiprior.types import BoolArray, FloatArray
 
 HYPOTHESES = 100_000
+MATCHES_PER_F = 7
 _PAIRINGS = 20_000
 _PRIOR_PAIRINGS = 50.0
 
