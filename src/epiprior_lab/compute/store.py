@@ -1,5 +1,6 @@
 """Results of tasks on disk, and the content keys that say whether a stored result may be used again."""
 
+import ast
 import dataclasses
 import functools
 import hashlib
@@ -116,8 +117,20 @@ def _source_digest(files: Iterable[Path]) -> bytes:
     digest = hashlib.sha256()
     for file in sorted(files):
         name = file.relative_to(SOURCE).as_posix() if file.is_relative_to(SOURCE) else file.name
-        digest.update(name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+        digest.update(name.encode() + b"\0" + _code_digest(file.read_bytes()))
     return digest.digest()
+
+
+@functools.cache
+def _code_digest(source: bytes) -> bytes:
+    """Return the digest of the code of a source file: comments, docstrings and line breaks determine no result."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            first = node.body[0] if node.body else None
+            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+                node.body = node.body[1:]
+    return hashlib.sha256(ast.dump(tree).encode()).digest()
 
 
 def _encode(value: Any) -> Iterator[bytes]:

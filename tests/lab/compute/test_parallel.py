@@ -170,9 +170,12 @@ def test_stored_results_are_used_again(doubled):
 def test_the_store_does_not_grow_with_new_keys(doubled, work, tmp_path):
     doubled([1, 2])
     source = Path(work.__file__)
-    source.write_text(WORK + "# changed\n", encoding="utf-8")
+    source.write_text('"""About."""\n' + WORK + "# a comment\n", encoding="utf-8")
     source_files.cache_clear()
-    assert doubled([1, 2])[1] == [1, 2]  # another source is another key
+    assert doubled([1, 2])[1] == []  # what is said of the code determines no result
+    source.write_text(WORK + "CHANGED = True\n", encoding="utf-8")
+    source_files.cache_clear()
+    assert doubled([1, 2])[1] == [1, 2]  # other code is another key
     assert len(list((tmp_path / "store").iterdir())) == 2
 
 
@@ -188,7 +191,7 @@ def test_payload_files_and_code_enter_the_key(work, tmp_path):
     assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
     path.write_text("four")
     assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
-    Path(work.__file__).write_text(WORK + "# changed\n", encoding="utf-8")
+    Path(work.__file__).write_text(WORK + "CHANGED = True\n", encoding="utf-8")
     source_files.cache_clear()
     assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["four"]
 
