@@ -103,10 +103,11 @@ def test_the_order_is_the_prior_that_is_used(name):
 
 @pytest.mark.parametrize("name", BY_PROBABILITY)
 def test_the_probability_is_the_prior_that_is_used(name):
-    """The order says nothing to these, equal probabilities are no help."""
+    """The order says nothing to these, equal probabilities are no help; nor are orientations at random."""
     pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
-    walk = np.random.default_rng(0).permutation(len(pair.matches))
-    shuffled = pair.matches.take(walk)
+    rng = np.random.default_rng(0)
+    shuffled = pair.matches.take(rng.permutation(len(pair.matches)))
+    shuffled = replace(shuffled, orientation2_deg=rng.uniform(0, 360, len(shuffled)))
     assert pair.error_px(run(name, shuffled).F) < 2.0
     equal = replace(shuffled, probability=np.full(len(shuffled), 0.05))
     assert not pair.error_px(run(name, equal, settings=EstimatorSettings(max_iterations=1_000)).F) < 10
