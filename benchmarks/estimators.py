@@ -16,9 +16,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from epiprior.estimators import EstimatorSettings, estimators, find_estimator, fit
-from epiprior.estimators.loop import search
-from epiprior.estimators.own import LoopEstimator
+from epiprior.estimators import EstimatorSettings, find_estimator, fit, list_estimators
+from epiprior.estimators.own import LoopEstimator, search
 from epiprior.types import MatchSet
 
 WIDTH, HEIGHT, FOCAL = 1024, 768, 900.0
@@ -105,7 +104,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--share", type=float, default=0.1, help="of right matches")
     options = parser.parse_args()
-    names = [name for name, state in estimators().items() if state == "available"]
+    names = [name for name, state in list_estimators().items() if state == "available"]
 
     for prior in ("probabilities", "no prior, any order"):
         sets = {n: synthetic_matches(n, options.share) for n in options.sizes}

@@ -20,8 +20,9 @@ import cv2
 import numpy as np
 
 import epiprior
-from epiprior.features.detect import FeatureSettings, detect_features, load_photograph
-from epiprior.presets import PRESETS, PreprocessSettings
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
+from epiprior.presets import PRESETS, FeatureSettings, PreprocessSettings
 
 
 def time_pair(image1: str, image2: str, estimator: str, repeats: int) -> None:
@@ -31,7 +32,7 @@ def time_pair(image1: str, image2: str, estimator: str, repeats: int) -> None:
         steps, whole, ratio = defaultdict(list), [], []
         for run in range(repeats + 1):
             start = time.perf_counter()
-            epiprior.estimate_fundamental(image1, image2, estimator=estimator, preprocess=False)
+            epiprior.estimate_fundamental(image1, image2, estimator=estimator, mode="standard")
             middle = time.perf_counter()
             ranked = epiprior.rank_matches(image1, image2, preset=preset)
             ranked_at = time.perf_counter()

@@ -29,7 +29,7 @@ from epiprior.estimators.run import estimate_from_matches
 from epiprior.types import FloatArray, Status
 from epiprior.verification.chance import chance_rate
 from epiprior.verification.degeneracy import LEVELS, DecidedLevels, PlaneEvidence, plane_evidence
-from epiprior.verification.verdict import judge
+from epiprior.verification.judge import judge
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.features.matching import PairMatches, match_pair
 from epiprior_lab.labels.ground_truth import control_points_from_depth, errors_px

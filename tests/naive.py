@@ -68,18 +68,19 @@ def two_keypoint_descriptor(p1, n1, p2, n2, angles, scales):
     return min(d1 / d2, d2 / d1), np.radians(min(turn, 360 - turn)), min(d1, d2)
 
 
-def eight_point(x1, x2):
+def eight_point(x1, x2, weights=None):
     """Normalised eight-point algorithm, by the singular value decomposition of the equations themselves."""
+    w = np.ones(len(x1)) if weights is None else weights
 
     def condition(x):
-        c = x.mean(axis=0)
-        s = np.sqrt(2) / np.sqrt(((x - c) ** 2).sum(axis=1).mean())
+        c = np.average(x, axis=0, weights=w)
+        s = np.sqrt(2) / np.sqrt(np.average(((x - c) ** 2).sum(axis=1), weights=w))
         return np.array([[s, 0, -s * c[0]], [0, s, -s * c[1]], [0, 0, 1]])
 
     T1, T2 = condition(x1), condition(x2)
     h1 = np.column_stack([x1, np.ones(len(x1))]) @ T1.T
     h2 = np.column_stack([x2, np.ones(len(x2))]) @ T2.T
-    A = np.array([np.outer(b, a).ravel() for a, b in zip(h1, h2, strict=True)])
+    A = np.array([np.sqrt(v) * np.outer(b, a).ravel() for a, b, v in zip(h1, h2, w, strict=True)])
     F = np.linalg.svd(A)[2][-1].reshape(3, 3)
     U, s, Vt = np.linalg.svd(F)
     F = T2.T @ U @ np.diag([s[0], s[1], 0]) @ Vt @ T1

@@ -7,8 +7,11 @@ from typing import Literal
 
 import numpy as np
 
+from epiprior.estimators import EstimatorSettings
+from epiprior.estimators.handover import HandOver
+from epiprior.estimators.run import estimate_from_matches
 from epiprior.geometry import normalise_fundamental, sampson_distance
-from epiprior.types import BoolArray, FloatArray, MatchSet
+from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, IntArray, MatchSet
 
 Scene = Literal["relief", "plane", "plane+", "rotation", "line"]
 
@@ -132,3 +135,18 @@ def make_pair(
         project(control, np.eye(3), np.zeros(3)),
         project(control, R, t),
     )
+
+
+def run(
+    name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None
+) -> FundamentalEstimate:
+    """Run an estimator on all of the matches as they are."""
+    return estimate_from_matches([matches], estimator=name, seed=seed, hand_over=HandOver(), settings=settings)
+
+
+def random_scene(seed: int, n: int = 60, clusters: int = 8) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Locations, scales and clusters of the features of an image; two of them are twins."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, 100, (n, 2))
+    xy[5] = xy[6]
+    return xy, rng.uniform(0.8, 4, n), rng.integers(0, clusters, n)

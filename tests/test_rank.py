@@ -1,22 +1,18 @@
-import logging
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import epiprior
-from epiprior.errors import FeatureError, ImageError, ModelError, SettingsError
-from epiprior.features.detect import FeatureSettings, detect_features, load_photograph
+from epiprior.errors import FeatureError, ImageError, ModelError
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.matching import pair
-from epiprior.presets import DEFAULT, PAPER
+from epiprior.presets import DEFAULT, PAPER, FeatureSettings
 from epiprior.ranking import hypothesis
 from epiprior.ranking.models import load_model
 from pictures import relief_pair, rotated, texture
-from synthetic import make_pair
 from tiny_model import make_model
 
 ROWS_CORRESPOND = np.array([[0, 0, 0], [0, 0, 1], [0, -1, 0]], float)
@@ -137,84 +133,3 @@ def test_no_texture_gives_empty_sets(model, blank):
         found = epiprior.rank_matches(*images, model=model)
         assert [len(s) for s in found.sets] == [0]
         assert len(found.standard) == 0
-
-
-def test_unknown_preset_and_bad_settings_are_named():
-    with pytest.raises(SettingsError, match="'fancy', known: paper, default"):
-        epiprior.rank_matches(texture(), texture(), preset="fancy")
-    with pytest.raises(SettingsError, match="vote_threshold is -1"):
-        replace(DEFAULT, vote_threshold=-1.0)
-    with pytest.raises(SettingsError, match="frame"):
-        replace(DEFAULT, frame="nothing")
-
-
-def test_standard_matches_are_the_papers():
-    found = epiprior.standard_matches(*relief_pair())
-    assert (np.diff(found.distance_ratio) >= 0).all()
-    assert found.distance_ratio.max() <= 0.9
-    assert np.isnan(found.probability).all()
-    fewer = epiprior.standard_matches(*relief_pair(), max_distance_ratio=0.6)
-    assert 0 < len(fewer) < len(found)
-    np.testing.assert_array_equal(fewer.x1, found.x1[: len(fewer)])
-
-
-def test_snn_is_mutual_and_ordered():
-    found = epiprior.snn_matches(*relief_pair())
-    assert (np.diff(found.distance_ratio) >= 0).all()
-    assert found.distance_ratio.max() < 0.85
-    assert len({tuple(x) for x in np.column_stack([found.x2, found.orientation2_deg])}) == len(found)
-
-
-def test_compilation_is_announced_once_per_kernel(monkeypatch, caplog):
-    from epiprior.kernels import compilation
-
-    class Fresh:
-        signatures = ()
-        py_func = make_pair
-
-        class stats:  # noqa: N801
-            cache_path = "no such folder"
-
-    class Compiled(Fresh):
-        signatures = ("float64()",)
-
-    class Broken:
-        signatures = ()
-
-    monkeypatch.setattr(compilation, "_asked", set())
-    with caplog.at_level(logging.INFO, logger="epiprior"):
-        for _ in range(2):
-            compilation.announce_compilation(Fresh, "this", "a second")
-            compilation.announce_compilation(Compiled, "that", "a second")
-            compilation.announce_compilation(Broken, "those", "a second")
-    line = "compiling kernels of {}: the first call on this machine takes a second"
-    assert [record.message for record in caplog.records] == [line.format("this"), line.format("those")]
-
-
-@pytest.mark.parametrize("name", ["epiprior", "beem", "usac"])
-def test_own_estimators_announce_their_kernels(monkeypatch, name):
-    from epiprior.estimators import epiprior as starting_from_votes
-    from epiprior.estimators import own, run
-
-    said = []
-    for module in (starting_from_votes, own):
-        monkeypatch.setattr(module, "announce_compilation", lambda kernel, *words: said.append(kernel))
-    run(name, make_pair().matches)
-    assert said == {"epiprior": [starting_from_votes.climb], "beem": [own.run_loop], "usac": []}[name]
-
-
-def test_the_cache_of_compiled_kernels_is_recognised(tmp_path):
-    # The second process finds what the first one compiled, and says nothing.
-    code = (
-        "import logging, numpy as np; logging.basicConfig(level=logging.INFO)\n"
-        "from epiprior import compilation, votes\n"
-        "compilation.announce_compilation(votes.add_votes, 'the votes', 'a second')\n"
-        "votes.count_votes(np.ones((1, 3, 3)), np.ones((1, 2)), np.ones((1, 2)))"
-    )
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    said = [
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment).stderr
-        for _ in range(2)
-    ]
-    assert "compiling kernels" in said[0]
-    assert "compiling kernels" not in said[1]

@@ -7,24 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epiprior import rank as preprocess
-from epiprior import two_view as fundamental
+from epiprior import rank, two_view
 from epiprior.errors import EstimatorError, ImageError, SettingsError
 from epiprior.estimators.handover import HandOver
-from epiprior.features.detect import detect_features, load_photograph
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
 from epiprior.geometry import sampson_distance
-from epiprior.presets import find_preset
+from epiprior.presets import DEFAULT, FeatureSettings, find_preset
 from epiprior.ranking.models import load_model
 from epiprior.two_view import estimate_fundamental
 from epiprior.types import MatchSet, RankedMatches, Status
 from epiprior.verification.cascade import CascadeRule
-from epiprior.verification.plausibility import camera_plausibility
+from epiprior.verification.measures import camera_plausibility
 from pictures import relief_pair, texture
 from synthetic import make_pair
 from tiny_model import make_model
 
-KEEP_ALL = CascadeRule(min_spread=0, min_plausibility=0.0)
-KEEP_NONE = CascadeRule(min_spread=10**6, min_plausibility=1.0)
+KEEP_ALL = CascadeRule(min_plausibility=0.0)
+KEEP_NONE = CascadeRule(min_plausibility=1.0)
 
 
 def ranked_of(matches: MatchSet, standard: MatchSet) -> RankedMatches:
@@ -33,7 +33,7 @@ def ranked_of(matches: MatchSet, standard: MatchSet) -> RankedMatches:
 
 def test_two_pictures_without_preprocessing():
     left, right = relief_pair()
-    estimate = estimate_fundamental(left, right, preprocess=False)
+    estimate = estimate_fundamental(left, right, mode="standard")
     assert estimate.status is Status.OK
     # Cameras side by side: epipolar lines are rows.
     rows = np.array([[0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
@@ -44,23 +44,23 @@ def test_two_pictures_without_preprocessing():
 
 
 def test_ranked_matches_are_used_and_their_seconds_kept(monkeypatch):
-    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("ranked a second time"))
+    monkeypatch.setattr(two_view, "rank_matches", lambda *_, **__: pytest.fail("ranked a second time"))
     pair, picture = make_pair(), texture()
     ranked = ranked_of(pair.matches, pair.matches.take(slice(7)))
     estimate = estimate_fundamental(picture, picture, ranked=ranked)
     assert pair.error_px(estimate.F) < 0.6
     assert estimate.seconds["votes"] == 0.5
-    assert estimate_fundamental(picture, picture, ranked=ranked, preprocess=False).status is Status.TOO_FEW_MATCHES
+    assert estimate_fundamental(picture, picture, ranked=ranked, mode="standard").status is Status.TOO_FEW_MATCHES
 
 
 def test_images_are_ranked_with_the_preset(monkeypatch):
     pair, asked = make_pair(), []
 
-    def rank(image1, image2, *, preset, **features):
-        asked.append(preset)
+    def rank(image1, image2, *, settings, **features):
+        asked.append(settings.name)
         return ranked_of(pair.matches, pair.matches)
 
-    monkeypatch.setattr(preprocess, "rank_matches", rank)
+    monkeypatch.setattr(two_view, "rank_matches", rank)
     estimate = estimate_fundamental(texture(), texture(), preset="paper", estimator="prosac", threshold_px=2.5)
     assert asked == ["paper"]
     assert estimate.estimator == "prosac"
@@ -68,46 +68,33 @@ def test_images_are_ranked_with_the_preset(monkeypatch):
 
 
 def test_unknown_estimator_fails_before_any_work(monkeypatch):
-    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
+    monkeypatch.setattr(two_view, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
     with pytest.raises(EstimatorError, match="'usak'"):
         estimate_fundamental(texture(), texture(), estimator="usak")
 
 
 def test_identical_images_and_black_images():
     picture = texture()
-    same = estimate_fundamental(picture, picture, preprocess=False)
+    same = estimate_fundamental(picture, picture, mode="standard")
     assert same.status is Status.DEGENERATE
     assert "nothing moved" in same.message
     black = np.zeros((200, 300), np.uint8)
-    assert estimate_fundamental(black, black, preprocess=False).status is Status.TOO_FEW_MATCHES
+    assert estimate_fundamental(black, black, mode="standard").status is Status.TOO_FEW_MATCHES
 
 
 @pytest.mark.parametrize(
     ("options", "named"),
     [
         ({"mode": "waterfall"}, "mode is 'waterfall', known: preprocess, standard, cascade"),
-        ({"mode": "standard", "preprocess": True}, "mode is 'standard', but preprocess is True"),
-        ({"mode": "preprocess", "preprocess": False}, "mode is 'preprocess', but preprocess is False"),
-        ({"mode": "cascade", "preprocess": True}, "mode is 'cascade', but preprocess is True"),
         ({"mode": "cascade", "hand_over": HandOver()}, "hand_over is for one input"),
         ({"rule": KEEP_ALL}, "rule is of the cascade, but mode is 'preprocess'"),
-        ({"rule": KEEP_ALL, "preprocess": False}, "rule is of the cascade, but mode is 'standard'"),
+        ({"rule": KEEP_ALL, "mode": "standard"}, "rule is of the cascade, but mode is 'standard'"),
     ],
 )
 def test_options_that_contradict_each_other_are_refused(monkeypatch, options, named):
-    monkeypatch.setattr(preprocess, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
+    monkeypatch.setattr(two_view, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
     with pytest.raises(SettingsError, match=named):
         estimate_fundamental(texture(), texture(), **options)
-
-
-def test_a_mode_and_its_short_form_agree():
-    left, right = relief_pair(240, 180)
-    first, second, third = (
-        estimate_fundamental(left, right, **how)
-        for how in ({"mode": "standard"}, {"preprocess": False}, {"mode": "standard", "preprocess": False})
-    )
-    assert first.input == "standard"
-    assert first.F.tobytes() == second.F.tobytes() == third.F.tobytes()
 
 
 @pytest.fixture
@@ -119,7 +106,7 @@ def ranking(monkeypatch):
         state["calls"].append(options)
         return ranked_of(state["matches"], state["matches"])
 
-    monkeypatch.setattr(preprocess, "rank_matches", rank)
+    monkeypatch.setattr(two_view, "rank_matches", rank)
     return state
 
 
@@ -146,7 +133,7 @@ def test_what_is_not_kept_is_ranked_from_the_same_features(ranking, monkeypatch,
     estimate = estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE, preset=preset)
     assert len(detected) == 2
     (call,) = ranking["calls"]
-    assert call["preset"] == preset
+    assert call["settings"] == find_preset(preset)
     assert len(call["features1"]) > 50
     assert call["features1"].image_size == call["features2"].image_size == (240, 180)
     assert estimate.input == preset
@@ -157,7 +144,7 @@ def test_what_is_not_kept_is_ranked_from_the_same_features(ranking, monkeypatch,
 
 def test_shared_features_change_no_bit(tmp_path, monkeypatch):
     model = load_model(make_model(tmp_path / "default"))
-    monkeypatch.setattr(preprocess, "load_model", lambda name: model)
+    monkeypatch.setattr(rank, "load_model", lambda name: model)
     left, right = relief_pair(240, 180)
     twice = estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE)
     once = estimate_fundamental(left, right)
@@ -166,12 +153,13 @@ def test_shared_features_change_no_bit(tmp_path, monkeypatch):
     assert np.array_equal(twice.inliers, once.inliers)
 
 
-def test_other_features_are_not_shared(ranking, monkeypatch):
-    fewer = replace(find_preset("default"), features=replace(find_preset("default").features, max_keypoints=500))
-    monkeypatch.setattr(fundamental, "find_preset", lambda name: fewer if name == "default" else find_preset(name))
+def test_settings_of_the_features_are_of_both_inputs(ranking):
+    fewer = replace(DEFAULT, features=FeatureSettings(max_keypoints=60, max_image_size=200))
     left, right = relief_pair(240, 180)
-    estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE)
-    assert ranking["calls"] == [{"preset": "default", "features1": None, "features2": None}]
+    estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE, settings=fewer)
+    (call,) = ranking["calls"]
+    assert call["settings"] is fewer
+    assert 30 < len(call["features1"]) <= 70
 
 
 @pytest.mark.parametrize("estimator", ["usac", "generalized-ransac"])
@@ -233,7 +221,7 @@ def test_generalized_ransac_has_an_input_of_its_own(ranking):
     assert {"generalized matches", "estimator"} <= set(estimate.seconds)
     second = estimate_fundamental(left, right, estimator="generalized-ransac", mode="cascade", rule=KEEP_NONE)
     assert second.input == "default"
-    assert ranking["calls"] == [{"preset": "default", "features1": None, "features2": None}]
+    assert ranking["calls"] == [{"settings": DEFAULT, "features1": None, "features2": None}]
 
 
 def test_a_threshold_is_for_both_inputs(ranking):
@@ -245,7 +233,7 @@ def test_a_threshold_is_for_both_inputs(ranking):
 
 @pytest.mark.parametrize(("rule", "taken"), [(KEEP_ALL, "standard"), (KEEP_NONE, "default")])
 def test_the_rule_of_the_models_is_used(ranking, monkeypatch, rule, taken):
-    monkeypatch.setattr(fundamental, "load_cascade_rule", lambda: rule)
+    monkeypatch.setattr(two_view, "load_cascade_rule", lambda: rule)
     left, right = relief_pair(240, 180)
     assert estimate_fundamental(left, right, mode="cascade").input == taken
 

@@ -12,25 +12,29 @@ from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from epiprior.errors import (
-        EpipriorError,
-        EstimatorError,
-        FeatureError,
-        ImageError,
-        ModelError,
-        OutputError,
-        SettingsError,
-    )
-    from epiprior.estimators import estimators
-    from epiprior.estimators.handover import HandOver
-    from epiprior.features.detect import FeatureSettings
-    from epiprior.matching.baselines import generalized_matches, snn_matches, standard_matches
-    from epiprior.presets import PreprocessSettings
-    from epiprior.rank import rank_matches
-    from epiprior.ranking.models import load_model
-    from epiprior.two_view import estimate_fundamental
-    from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
-    from epiprior.verification.cascade import CascadeRule
+    from epiprior.errors import EpipriorError as EpipriorError
+    from epiprior.errors import EstimatorError as EstimatorError
+    from epiprior.errors import FeatureError as FeatureError
+    from epiprior.errors import ImageError as ImageError
+    from epiprior.errors import ModelError as ModelError
+    from epiprior.errors import OutputError as OutputError
+    from epiprior.errors import SettingsError as SettingsError
+    from epiprior.estimators.handover import HandOver as HandOver
+    from epiprior.estimators.registry import list_estimators as list_estimators
+    from epiprior.matching.baselines import generalized_matches as generalized_matches
+    from epiprior.matching.baselines import snn_matches as snn_matches
+    from epiprior.matching.baselines import standard_matches as standard_matches
+    from epiprior.presets import FeatureSettings as FeatureSettings
+    from epiprior.presets import PreprocessSettings as PreprocessSettings
+    from epiprior.rank import rank_matches as rank_matches
+    from epiprior.ranking.models import load_model as load_model
+    from epiprior.two_view import estimate_fundamental as estimate_fundamental
+    from epiprior.types import Features as Features
+    from epiprior.types import FundamentalEstimate as FundamentalEstimate
+    from epiprior.types import MatchSet as MatchSet
+    from epiprior.types import RankedMatches as RankedMatches
+    from epiprior.types import Status as Status
+    from epiprior.verification.cascade import CascadeRule as CascadeRule
 
 __version__ = metadata.version("epiprior")
 
@@ -38,69 +42,30 @@ __version__ = metadata.version("epiprior")
 # and the thread that reports draws from the C library's rand(), in the middle of pydegensac's seeded draws.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
-# Names are imported when they are first used, so that `epiprior --help` need not wait for compiled libraries.
-_HOMES = {
-    "CascadeRule": "verification.cascade",
-    "EpipriorError": "errors",
-    "EstimatorError": "errors",
-    "FeatureError": "errors",
-    "ImageError": "errors",
-    "ModelError": "errors",
-    "OutputError": "errors",
-    "SettingsError": "errors",
-    "FeatureSettings": "features.detect",
-    "Features": "types",
-    "FundamentalEstimate": "types",
-    "HandOver": "estimators.handover",
-    "MatchSet": "types",
-    "PreprocessSettings": "presets",
-    "RankedMatches": "types",
-    "Status": "types",
-    "estimate_fundamental": "two_view",
-    "generalized_matches": "matching.baselines",
-    "load_model": "ranking.models",
-    "rank_matches": "rank",
-    "snn_matches": "matching.baselines",
-    "standard_matches": "matching.baselines",
-}
-
-__all__ = [
-    "CascadeRule",
-    "EpipriorError",
-    "EstimatorError",
-    "FeatureError",
-    "FeatureSettings",
-    "Features",
-    "FundamentalEstimate",
-    "HandOver",
-    "ImageError",
-    "MatchSet",
-    "ModelError",
-    "OutputError",
-    "PreprocessSettings",
-    "RankedMatches",
-    "SettingsError",
-    "Status",
-    "__version__",
-    "estimate_fundamental",
-    "estimators",
-    "generalized_matches",
-    "load_model",
-    "rank_matches",
-    "snn_matches",
-    "standard_matches",
-]
+# Public names and their modules. They are imported when first used: `epiprior --help` needs no compiled library.
+_NAMES = {
+    "errors": (
+        "EpipriorError", "EstimatorError", "FeatureError", "ImageError", "ModelError", "OutputError", "SettingsError",
+    ),
+    "estimators.handover": ("HandOver",),
+    "estimators.registry": ("list_estimators",),
+    "matching.baselines": ("generalized_matches", "snn_matches", "standard_matches"),
+    "presets": ("FeatureSettings", "PreprocessSettings"),
+    "rank": ("rank_matches",),
+    "ranking.models": ("load_model",),
+    "two_view": ("estimate_fundamental",),
+    "types": ("Features", "FundamentalEstimate", "MatchSet", "RankedMatches", "Status"),
+    "verification.cascade": ("CascadeRule",),
+}  # fmt: skip
+_MODULES = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> Any:
-    if name == "estimators":  # the package, which lists the estimators when it is called
-        return import_module("epiprior.estimators")
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(["__version__", *_MODULES])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import sys
@@ -13,7 +14,7 @@ from typer.core import TyperGroup
 
 from epiprior.commands import inventory, photographs
 from epiprior.commands.options import BAD_INPUT
-from epiprior.commands.printing import complain
+from epiprior.commands.printing import complain, drop_stdout, say
 from epiprior.errors import EpipriorError
 
 
@@ -27,18 +28,10 @@ class _Commands(TyperGroup):
         except EpipriorError as error:
             complain(f"error: {error}")
         except OSError as error:
-            _drop_stdout()
+            drop_stdout()
             reason = error.strerror or str(error)
             complain(f"error: {error.filename}: {reason}" if error.filename else f"error: {reason}")
         sys.exit(BAD_INPUT)
-
-
-def _drop_stdout() -> None:
-    """Send what could not be written nowhere, lest the interpreter complain once more at its end."""
-    try:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError):
-        return
 
 
 app = typer.Typer(
@@ -53,7 +46,7 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"epiprior {metadata.version('epiprior')}")
+        say(f"epiprior {metadata.version('epiprior')}")
         raise typer.Exit
 
 
@@ -67,8 +60,12 @@ def set_up(
 ) -> None:
     """Show the library's messages, such as that kernels are being compiled, on stderr."""
     del version
-    # OpenCV has lines of its own on damaged pictures; ours names the file. It is imported later, and reads this then.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a file name may hold bytes that are no text
+            stream.reconfigure(errors="backslashreplace")
+    # Read by OpenCV and pycolmap, which are imported later: their lines on stderr do not name the file.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "FATAL")
+    os.environ.setdefault("GLOG_minloglevel", "1")
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("epiprior: %(message)s"))
     logger = logging.getLogger("epiprior")

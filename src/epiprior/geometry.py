@@ -1,4 +1,4 @@
-"""Fundamental matrices from points, and Sampson distances.
+"""Fundamental matrices from points, their refinement, and Sampson distances.
 
 Conventions: ``x1, x2`` are ``(N, 2)`` float64 pixels; ``x2' F x1 = 0``; residuals are unsquared pixels.
 References: Hartley and Zisserman, Multiple View Geometry, 2nd ed., chapter 11 (eight points: 11.2; Sampson: 11.4.3).
@@ -6,13 +6,19 @@ References: Hartley and Zisserman, Multiple View Geometry, 2nd ed., chapter 11 (
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from epiprior.errors import FeatureError
-from epiprior.types import Float32Array, FloatArray
+from epiprior.kernels.sampson import squared_distances, tukey_weights
+from epiprior.kernels.solvers import weighted_eight_point
+from epiprior.types import Float32Array, FloatArray, IntArray
 
 MIN_MATCHES = 8
+SHRINKING_THRESHOLDS_PX = (10.0, 8.0, 6.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
+SCORE_THRESHOLD_PX = 2.0
 
 
 def as_points(name: str, points: ArrayLike) -> FloatArray:
@@ -35,6 +41,14 @@ def as_points(name: str, points: ArrayLike) -> FloatArray:
         row = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
         raise FeatureError(f"{name} holds a NaN or infinite value, first in row {row}")
     return array
+
+
+def first_of_equal(rows: FloatArray) -> IntArray:
+    """Return where each distinct row of `rows`, (N, D) finite numbers, stands first, in ascending order."""
+    order = np.lexsort(rows.T)
+    ordered = rows[order]
+    new = np.concatenate([np.ones(min(len(rows), 1), np.bool_), (ordered[1:] != ordered[:-1]).any(axis=1)])
+    return np.sort(order[new])
 
 
 def normalise_fundamental(F: FloatArray) -> FloatArray | None:
@@ -90,15 +104,16 @@ def sampson_distance(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArra
     """
     if x1.shape != x2.shape or x1.ndim != 2 or x1.shape[1] != 2:
         raise FeatureError(f"x1 and x2 have shapes {x1.shape} and {x2.shape}, expected (N, 2) twice")
-    line2 = x1 @ F[:, :2].T + F[:, 2]
-    line1 = x2 @ F[:2] + F[2]
-    # Column by column: sums along axes of length two take numpy several times as long.
-    (a, b, c), (d, e, _) = line2.T, line1.T
-    algebraic = x2[:, 0] * a + x2[:, 1] * b + c
-    gradient = np.sqrt((a * a + b * b) + (d * d + e * e))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = np.abs(algebraic) / gradient
-    return np.where(gradient > 0, distance, np.inf)
+    distance_sq = np.empty(len(x1))
+    squared_distances(np.ascontiguousarray(F, dtype=np.float64), as_columns(x1, x2), distance_sq, np.empty(len(x1)))
+    return np.sqrt(distance_sq)
+
+
+def as_columns(x1: FloatArray, x2: FloatArray) -> FloatArray:
+    """Return N matches as kernels read them: x and y in image 1, x and y in image 2, shape (4, N)."""
+    columns = np.empty((4, len(x1)))
+    columns[:2], columns[2:] = x1.T, x2.T
+    return columns
 
 
 def centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray) -> Float32Array:
@@ -124,16 +139,6 @@ def centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray
     return np.ascontiguousarray(G.reshape(-1, 9).T, dtype=np.float32)
 
 
-def _conditioning(x: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return weighted, isotropically scaled points (Hartley's normalisation) and the 3 x 3 map that made them."""
-    centre = weights @ x / weights.sum()
-    u, v = (x - centre).T
-    spread = np.sqrt(weights @ (u * u + v * v) / weights.sum())
-    factor = np.sqrt(2.0) / max(spread, 1e-9)
-    T = np.array([[factor, 0.0, -factor * centre[0]], [0.0, factor, -factor * centre[1]], [0.0, 0.0, 1.0]])
-    return (x - centre) * factor, T
-
-
 def eight_point(x1: FloatArray, x2: FloatArray, weights: FloatArray | None = None) -> FloatArray | None:
     """Return the normalised (weighted) eight-point estimate.
 
@@ -154,14 +159,73 @@ def eight_point(x1: FloatArray, x2: FloatArray, weights: FloatArray | None = Non
     ----------
     Hartley and Zisserman, algorithm 11.1.
     """
+    w = np.ones(len(x1)) if weights is None else np.ascontiguousarray(weights, dtype=np.float64)
+    F = np.empty((3, 3))
+    return normalise_fundamental(F) if weighted_eight_point(as_columns(x1, x2), w, F) else None
+
+
+def weighted_score(
+    F: FloatArray, x1: FloatArray, x2: FloatArray, weights: FloatArray, threshold_px: float = SCORE_THRESHOLD_PX
+) -> float:
+    """Return the sum of the weights >= 0, each lowered by the match's squared distance; nothing from a threshold on."""
+    r = sampson_distance(F, x1, x2) / threshold_px
+    return float(weights @ np.maximum(1.0 - r * r, 0.0))
+
+
+def refine_fundamental(
+    F: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    weights: FloatArray | None = None,
+    thresholds: Sequence[float] = SHRINKING_THRESHOLDS_PX,
+    *,
+    score_threshold_px: float = SCORE_THRESHOLD_PX,
+) -> FloatArray:
+    """Return the best F of a series of weighted eight-point fits over shrinking thresholds.
+
+    Each fit takes the matches within the threshold of the F before it, by its weight, lowered towards the
+    threshold (Tukey's biweight) and divided by the squared gradient of the residual, so that what is
+    minimised is the Sampson distance. The F with the highest `weighted_score` is kept, the first one
+    included: the result never scores less than what went in.
+
+    Parameters
+    ----------
+    F : ndarray, shape (3, 3)
+        Start; within the first threshold of the truth on most right matches.
+    x1, x2 : ndarray, shape (N, 2), float64
+        Matches, pixels, one-to-one. N < 8 returns `F`.
+    weights : ndarray, shape (N,), float64, optional
+        Probability of each match; 1 by default.
+    thresholds : sequence of float
+        Pixels, from wide to narrow.
+    score_threshold_px : float
+        Of the score that decides.
+
+    Returns
+    -------
+    ndarray, shape (3, 3), float64
+        Normalised as by `normalise_fundamental`.
+
+    References
+    ----------
+    Shrinking thresholds: local optimisation of LO-RANSAC (Chum, Matas and Kittler, DAGM 2003) and of USAC.
+    Weighing by the probabilities of the matches is ours.
+    """
     w = np.ones(len(x1)) if weights is None else np.asarray(weights, dtype=np.float64)
-    if np.count_nonzero(w > 0) < MIN_MATCHES:
-        return None
-    n1, T1 = _conditioning(x1, w)
-    n2, T2 = _conditioning(x2, w)
-    h1 = np.column_stack([n1, np.ones(len(n1))])
-    h2 = np.column_stack([n2, np.ones(len(n2))])
-    A = (h2[:, :, None] * h1[:, None, :]).reshape(-1, 9)
-    _, vectors = np.linalg.eigh((A * w[:, None]).T @ A)
-    U, s, Vt = np.linalg.svd(vectors[:, 0].reshape(3, 3))
-    return normalise_fundamental(T2.T @ ((U[:, :2] * s[:2]) @ Vt[:2]) @ T1)
+    # Matches that are far off now do not come back; the fits then run on a fraction of the matches.
+    near = (sampson_distance(F, x1, x2) < 3.0 * max(thresholds, default=0.0)) & (w > 0)
+    if np.count_nonzero(near) < MIN_MATCHES:
+        return F
+    x1, x2, w = x1[near], x2[near], w[near]
+    columns, fit_weights, scratch = as_columns(x1, x2), np.empty(len(w)), np.empty(len(w))
+    best, best_score = F, weighted_score(F, x1, x2, w, score_threshold_px)
+    current = F.copy()
+    for threshold in thresholds:
+        tukey_weights(current, columns, w, threshold * threshold, fit_weights, scratch)
+        if not weighted_eight_point(columns, fit_weights, current):
+            break
+        score = weighted_score(current, x1, x2, w, score_threshold_px)
+        if score > best_score:
+            best, best_score = current.copy(), score
+    normalised = None if best is F else normalise_fundamental(best)
+    return F if normalised is None else normalised

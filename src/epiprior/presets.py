@@ -1,18 +1,106 @@
-"""Presets: `paper` is the paper as printed, its gaps filled plainly; `default` is the best that we measured."""
+"""Settings of the method, and the presets: `paper`, the paper as printed, and `default`, the best that we measured.
+
+A preset names its model (``models/<preset>``) and the input of estimators that it ranks. Columns of the descriptors
+2kpmd and kpmd are settings too: a model is trained on those of its preset.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from epiprior.errors import SettingsError
-from epiprior.features.detect import FeatureSettings
-from epiprior.ranking.probabilities import DEFAULT_MATCH_COLUMNS, PAPER_MATCH_COLUMNS
-from epiprior.ranking.two_keypoints import DEFAULT_COLUMNS, PAPER_COLUMNS
+
+Mode = Literal["preprocess", "standard", "cascade"]
+
+DETECTORS = ("sift", "colmap-sift")
+FRAMES = ("feature", "2keypoint")
+
+COHERENCE_COLUMNS = ("coherence_near", "coherence_near_share", "coherence_far", "coherence_far_share")
+PAPER_TWO_KEYPOINT_COLUMNS = (
+    "two_keypoint_matches1",
+    "two_keypoint_matches2",
+    "distance_ratio",
+    "angle_difference",
+    "same_cluster",
+    "min_distance",
+)
+TWO_KEYPOINT_COLUMNS = (
+    *PAPER_TWO_KEYPOINT_COLUMNS,
+    "scale_change_difference",
+    "turn_difference",
+    "similarity_main",
+    "similarity_neighbour",
+    "fixed_similarity_main",
+    "fixed_similarity_neighbour",
+    "candidates_main",
+    "candidates_neighbour",
+    "roll_error_main",
+    "roll_error_neighbour",
+    "scale_change_main",
+    *(f"{name}_{match}" for match in ("main", "neighbour") for name in COHERENCE_COLUMNS),
+)
+PAPER_MATCH_COLUMNS = ("supporting_matrices", "distance_ratio", "similarity_weight")
+MATCH_COLUMNS = (
+    *PAPER_MATCH_COLUMNS,
+    "mutual",
+    "distance_ratio_backward",
+    "similarity",
+    "fixed_similarity",
+    "best_two_keypoint",
+    "summed_two_keypoint",
+    "relative_support",
+    "weighted_support",
+    "rival_support",
+    "rivals",
+    "roll_error",
+    "scale_change",
+    *COHERENCE_COLUMNS,
+    "pair_best_two_keypoints",
+    "pair_two_keypoints",
+    "pair_support",
+)
 
 
-def _check(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise SettingsError(f"{name} is {value}, must lie in [{low}, {high}]")
+def _check_ranges(settings: object, **ranges: tuple[float, float]) -> None:
+    for name, (low, high) in ranges.items():
+        value = getattr(settings, name)
+        if not low <= value <= high:
+            raise SettingsError(f"{name} is {value}, must lie in [{low}, {high}]")
+
+
+def _check_choice(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise SettingsError(f"{name} is {value!r}, known: {', '.join(known)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureSettings:
+    """How features are found and described (section 4.1).
+
+    Parameters
+    ----------
+    detector : str
+        ``sift`` (OpenCV) or ``colmap-sift`` (VLFeat's, through pycolmap).
+    max_image_size : int
+        Longer side at which the image is worked on, pixels, >= 64.
+    max_keypoints : int
+        Number of strongest features kept, >= 8.
+    root : bool
+        RootSIFT (Arandjelovic and Zisserman, 2012): the square root of the L1-normalised descriptor.
+    centred : bool
+        Subtract the descriptor's mean, so that the inner product is the normalised cross-correlation.
+    """
+
+    detector: str = "sift"
+    max_image_size: int = 1024
+    max_keypoints: int = 4000
+    root: bool = True
+    centred: bool = True
+
+    def __post_init__(self) -> None:
+        _check_choice("detector", self.detector, DETECTORS)
+        _check_ranges(self, max_image_size=(64, float("inf")), max_keypoints=(8, float("inf")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,29 +152,31 @@ class PreprocessSettings:
     frame: str = "2keypoint"
     frame_radius: float = 6.0
     vote_threshold: float = 3.0
-    two_keypoint_columns: tuple[str, ...] = DEFAULT_COLUMNS
-    match_columns: tuple[str, ...] = DEFAULT_MATCH_COLUMNS
+    two_keypoint_columns: tuple[str, ...] = TWO_KEYPOINT_COLUMNS
+    match_columns: tuple[str, ...] = MATCH_COLUMNS
 
     def __post_init__(self) -> None:
-        _check("max_distance_ratio", self.max_distance_ratio, 0.0, 1.0)
-        _check("roll_bandwidth_deg", self.roll_bandwidth_deg, 0.5, 90.0)
-        _check("merge_rolls_deg", self.merge_rolls_deg, 0.0, 180.0)
-        _check("min_cluster_similarity", self.min_cluster_similarity, -1.0, 1.0)
-        _check("max_matches_per_cluster_pair", self.max_matches_per_cluster_pair, 1, 1_000_000)
-        _check("nearest", self.nearest, 0, 1000)
-        _check("within", self.within, 0.0, 1000.0)
-        _check("nearest_of_cluster", self.nearest_of_cluster, 0, 100)
-        _check("max_within", self.max_within, 0, 1000)
-        _check("two_keypoint_count", self.two_keypoint_count, 2, 1000)
-        _check("frame_radius", self.frame_radius, 0.1, 100.0)
-        _check("vote_threshold", self.vote_threshold, 0.01, 100.0)
-        if self.frame not in ("feature", "2keypoint"):
-            raise SettingsError(f"frame is {self.frame!r}, known: 'feature', '2keypoint'")
+        _check_choice("frame", self.frame, FRAMES)
+        _check_ranges(
+            self,
+            max_distance_ratio=(0.0, 1.0),
+            roll_bandwidth_deg=(0.5, 90.0),
+            merge_rolls_deg=(0.0, 180.0),
+            min_cluster_similarity=(-1.0, 1.0),
+            max_matches_per_cluster_pair=(1, 1_000_000),
+            nearest=(0, 1000),
+            within=(0.0, 1000.0),
+            nearest_of_cluster=(0, 100),
+            max_within=(0, 1000),
+            two_keypoint_count=(2, 1000),
+            frame_radius=(0.1, 100.0),
+            vote_threshold=(0.01, 100.0),
+        )
 
     @property
     def extended(self) -> bool:
         """Whether 2kpmd has columns that the paper does not have."""
-        return self.two_keypoint_columns != PAPER_COLUMNS
+        return self.two_keypoint_columns != PAPER_TWO_KEYPOINT_COLUMNS
 
 
 PAPER = PreprocessSettings(
@@ -95,7 +185,7 @@ PAPER = PreprocessSettings(
     max_distance_ratio=0.9,
     merge_rolls_deg=0.0,
     frame="feature",
-    two_keypoint_columns=PAPER_COLUMNS,
+    two_keypoint_columns=PAPER_TWO_KEYPOINT_COLUMNS,
     match_columns=PAPER_MATCH_COLUMNS,
 )
 DEFAULT = PreprocessSettings(name="default")
@@ -103,13 +193,6 @@ PRESETS = {preset.name: preset for preset in (PAPER, DEFAULT)}
 
 
 def find_preset(name: str) -> PreprocessSettings:
-    """Return the preset of that name.
-
-    Raises
-    ------
-    SettingsError
-        If there is none; the message lists those there are.
-    """
-    if name not in PRESETS:
-        raise SettingsError(f"preset is {name!r}, known: {', '.join(PRESETS)}")
+    """Return the preset of that name, or raise SettingsError with the names there are."""
+    _check_choice("preset", name, tuple(PRESETS))
     return PRESETS[name]

@@ -5,25 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from epiprior.errors import ModelError
-from epiprior.features.detect import View
+from epiprior.features.images import View
 from epiprior.kernels.compilation import announce_compilation
 from epiprior.matching.baselines import standard_set
-from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
-from epiprior.presets import PreprocessSettings, find_preset
-from epiprior.ranking.hypothesis import (
-    Candidates,
-    UnitedMatches,
-    Votes,
-    cast_votes,
-    describe_matches,
-    find_candidates,
+from epiprior.matching.pair import PreparedPair, Stopwatch, prepare_pair, roll_hypotheses
+from epiprior.presets import (
+    MATCH_COLUMNS,
+    PAPER_TWO_KEYPOINT_COLUMNS,
+    TWO_KEYPOINT_COLUMNS,
+    PreprocessSettings,
+    find_preset,
 )
+from epiprior.ranking.hypothesis import Candidates, Votes, cast_votes, describe_matches, find_candidates
 from epiprior.ranking.models import TARGETS, RankingModel, load_model
-from epiprior.ranking.probabilities import DEFAULT_MATCH_COLUMNS, MatchTable
-from epiprior.ranking.two_keypoints import DEFAULT_COLUMNS, PAPER_COLUMNS
 from epiprior.ranking.votes import add_votes
-from epiprior.stopwatch import Stopwatch
-from epiprior.types import Features, FloatArray, MatchSet, RankedMatches
+from epiprior.types import Features, MatchSet, RankedMatches
 
 
 def rank_matches(
@@ -41,8 +37,8 @@ def rank_matches(
     Parameters
     ----------
     image1, image2 : path, ndarray or Photograph
-        The photographs: a file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB. None where features are
-        handed in and no image is at hand.
+        The photographs: a file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA. None where
+        features are handed in and no image is at hand.
     preset : str
         ``default``, the best that we measured, or ``paper``, the paper as printed.
     features1, features2 : Features, optional
@@ -75,17 +71,25 @@ def rank_matches(
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, watch=watch)
     with watch.step("roll"):
         rolls = roll_hypotheses(prepared, settings)
-    sets = tuple(_rank_one(prepared, roll_deg, settings, model, watch) for roll_deg in rolls)
-    return RankedMatches(
-        sets=sets, standard=standard_set(prepared, settings), seconds=watch.seconds, preset=settings.name
-    )
+    sets = []
+    for roll_deg in rolls:
+        candidates = find_candidates(prepared, roll_deg, settings, watch)
+        with watch.step("2keypoint classifier"):
+            rows = candidates.two_keypoints.select(model.two_keypoint_columns)
+            probability = model.predict_two_keypoint(rows)
+        with watch.step("votes"):
+            votes = cast_votes(candidates.frames, candidates.two_keypoints, probability, settings)
+        with watch.step("probabilities"):
+            sets.append(rank_voted(prepared, candidates, votes, model))
+    standard = standard_set(prepared, settings)
+    return RankedMatches(sets=tuple(sets), standard=standard, seconds=watch.seconds, preset=settings.name)
 
 
 def _check_columns(model: RankingModel, settings: PreprocessSettings) -> None:
-    """Raise ModelError where the model asks for what is not computed: it is another preset's or another version's."""
-    made = (DEFAULT_COLUMNS if settings.extended else PAPER_COLUMNS, DEFAULT_MATCH_COLUMNS)
-    for target, asked, known in zip(TARGETS, (model.two_keypoint_columns, model.match_columns), made, strict=True):
-        missing = [name for name in asked if name not in known]
+    """Raise ModelError where the model has columns that are not computed: it is of another preset or version."""
+    made = (TWO_KEYPOINT_COLUMNS if settings.extended else PAPER_TWO_KEYPOINT_COLUMNS, MATCH_COLUMNS)
+    for target, wanted, known in zip(TARGETS, (model.two_keypoint_columns, model.match_columns), made, strict=True):
+        missing = [name for name in wanted if name not in known]
         if missing:
             raise ModelError(
                 f"model {model.name}: {target} asks for columns that preset {settings.name} of this epiprior does not "
@@ -93,41 +97,16 @@ def _check_columns(model: RankingModel, settings: PreprocessSettings) -> None:
             )
 
 
-def _rank_one(
-    prepared: PreparedPair,
-    roll_deg: float,
-    settings: PreprocessSettings,
-    model: RankingModel,
-    watch: Stopwatch,
-) -> MatchSet:
-    candidates = find_candidates(prepared, roll_deg, settings, watch)
-    with watch.step("2keypoint classifier"):
-        rows = candidates.two_keypoints.select(model.two_keypoint_columns)
-        probability = model.predict_two_keypoint(rows)
-    with watch.step("votes"):
-        votes = cast_votes(candidates.frames, candidates.two_keypoints, probability, settings)
-    with watch.step("probabilities"):
-        return rank_voted(prepared, candidates, votes, model)
-
-
 def rank_voted(prepared: PreparedPair, candidates: Candidates, votes: Votes, model: RankingModel) -> MatchSet:
     """Return X, X_L and X_B together with their probabilities, best first (section 4.6), after the votes."""
-    united = candidates.united
-    table = describe_matches(united, prepared.table, candidates.two_keypoints, votes)
+    union, frames = candidates.united.union, candidates.united.frames
+    table = describe_matches(candidates.united, prepared.table, candidates.two_keypoints, votes)
     probability = model.predict_match(table.select(model.match_columns))
-    return _match_set(prepared, united, table, votes, probability)
-
-
-def _match_set(
-    prepared: PreparedPair, united: UnitedMatches, table: MatchTable, votes: Votes, probability: FloatArray
-) -> MatchSet:
-    """Bring everything back to pixels of the given images, sorted best first."""
-    union, frames = united.union, united.frames
+    (place1, place2), (f1, f2), (to_working1, to_working2) = prepared.locations, prepared.features, prepared.to_working
+    row1, row2 = place1.first[union.location1], place2.first[union.location2]
     sfm, ratio = table.column("supporting_matrices"), table.column("distance_ratio")
-    order = np.lexsort((np.arange(len(union)), ratio, -sfm, -probability))
-    first1, first2 = (place.first for place in prepared.locations)
-    f1, f2 = prepared.features
-    row1, row2 = first1[union.location1], first2[union.location2]
+    F = to_working2.T @ votes.matrices @ to_working1
+    F /= np.maximum(np.linalg.norm(F, axis=(1, 2), keepdims=True), 1e-300)
     ranked = MatchSet(
         x1=f1.xy[row1],
         x2=f2.xy[row2],
@@ -144,14 +123,7 @@ def _match_set(
         similarity=frames.similarity,
         two_keypoint_probability=table.column("best_two_keypoint"),
         roll_deg=float(np.rad2deg(frames.roll_rad)),
-        rough_matrices=_to_given(prepared, votes.matrices),
+        rough_matrices=F,
         image_sizes=(f1.image_size, f2.image_size),
     )
-    return ranked.take(order)
-
-
-def _to_given(prepared: PreparedPair, F: FloatArray) -> FloatArray:
-    """Express fundamental matrices of working pixels in pixels of the given images, Frobenius norm 1."""
-    first, second = prepared.to_working
-    given = second.T @ F @ first
-    return np.asarray(given / np.maximum(np.linalg.norm(given, axis=(1, 2), keepdims=True), 1e-300))
+    return ranked.take(np.lexsort((np.arange(len(union)), ratio, -sfm, -probability)))

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from epiprior.errors import SettingsError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
 def find_settings_file(name: str) -> Path | None:
@@ -35,3 +41,23 @@ def read_settings_file(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise SettingsError(f"{path}: the file is {type(content).__name__}, expected an object")
     return content
+
+
+def parse_settings(where: str, values: object, usual: Settings) -> Settings:
+    """Return a dataclass of settings with the values that a file names; the others are those of `usual`.
+
+    Raises
+    ------
+    SettingsError
+        If the values are no object, name a field that does not exist, or are out of range; the message begins `where`.
+    """
+    if not isinstance(values, dict):
+        raise SettingsError(f"{where}: {type(values).__name__}, expected an object")
+    known = [field.name for field in fields(usual)]
+    unknown = sorted(set(values) - set(known))
+    if unknown:
+        raise SettingsError(f"{where}: unknown {', '.join(unknown)}; known: {', '.join(known)}")
+    try:
+        return replace(usual, **values)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from error

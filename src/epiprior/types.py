@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.errors import FeatureError
+from epiprior.kernels.one_to_one import one_to_one_mask
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -79,23 +80,17 @@ class Features:
     image_size: tuple[int, int]
 
     def __post_init__(self) -> None:
-        for name, dtype in (
-            ("xy", np.float64),
-            ("scale", np.float64),
-            ("orientation_deg", np.float64),
-            ("descriptors", np.float32),
-        ):
+        object.__setattr__(self, "image_size", _size_of(self.image_size))
+        n = None
+        for name, *shape in (("xy", 2), ("scale",), ("orientation_deg",), ("descriptors", None)):
+            dtype = np.float32 if name == "descriptors" else np.float64
             try:
                 value = np.ascontiguousarray(getattr(self, name), dtype=dtype)
             except (TypeError, ValueError) as error:
                 raise FeatureError(f"features: {name} is not an array of numbers: {error}") from error
+            _require(f"features: {name}", value, (n, *shape))
             object.__setattr__(self, name, value)
-        n = len(self.xy)
-        object.__setattr__(self, "image_size", _size_of(self.image_size))
-        _require("features: xy", self.xy, (None, 2))
-        _require("features: scale", self.scale, (n,))
-        _require("features: orientation_deg", self.orientation_deg, (n,))
-        _require("features: descriptors", self.descriptors, (n, None))
+            n = len(value)
         if n and float(self.scale.min()) <= 0:
             raise FeatureError(
                 f"features: scale must be positive, row {int(self.scale.argmin())} is {self.scale.min()}"
@@ -106,18 +101,13 @@ class Features:
 
     def take(self, index: IntArray) -> Features:
         """Return the features at `index`, in that order."""
-        return replace(
-            self,
-            xy=self.xy[index],
-            scale=self.scale[index],
-            orientation_deg=self.orientation_deg[index],
-            descriptors=self.descriptors[index],
-        )
+        names = ("xy", "scale", "orientation_deg", "descriptors")
+        return replace(self, **{name: getattr(self, name)[index] for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchSet:
-    """Putative matches with everything that is known of them, sorted best first.
+    """Putative matches, one column per property, sorted best first.
 
     Parameters
     ----------
@@ -178,8 +168,6 @@ class MatchSet:
 
     def one_to_one(self) -> MatchSet:
         """Walk down the ranking and drop every match whose feature, in either image, was used before."""
-        from epiprior.matching.selection import one_to_one_mask
-
         return self.take(one_to_one_mask(self.feature1, self.feature2))
 
 
@@ -195,7 +183,7 @@ class RankedMatches:
     sets : tuple of MatchSet
         One per roll hypothesis (section 4.2), each sorted best first.
     standard : MatchSet
-        X_L, the baseline, ordered by distance ratio; it was needed anyway.
+        X_L, the baseline, ordered by distance ratio.
     seconds : mapping of str to float
         Wall time per step.
     preset : str
@@ -228,8 +216,8 @@ class FundamentalEstimate:
     F : ndarray, shape (3, 3), float64, or None
         ``x2' F x1 = 0``; rank 2, Frobenius norm 1, largest entry positive. None unless `status` is ``ok``.
     raw_F : ndarray, shape (3, 3), float64, or None
-        F before the verdict, in the same form; None if the estimator gave none. For measuring an estimator: whether to
-        trust F is what `status` says.
+        F before it was verified, in the same form; None if the estimator gave none. For measuring an estimator: whether
+        to trust F is what `status` says.
     x1, x2 : ndarray, shape (N, 2), float64
         The matches over which support was collected, pixels.
     inliers : ndarray, shape (N,), bool
@@ -237,26 +225,24 @@ class FundamentalEstimate:
     support : int
         Number of inliers.
     iterations : int or None
-        Hypotheses drawn, where the backend tells.
+        Number of hypotheses, where the backend tells.
     estimator, version : str
         Name in the registry, and the backend's package and version.
     roll_deg : float
-        The roll hypothesis that won, degrees.
+        The roll hypothesis of `F`, degrees.
     input : str
-        What the estimator got: ``standard`` (X_L), ``generalized`` (instead, for `generalized-ransac`), or the
+        What the estimator was given: ``standard`` (X_L), ``generalized`` (instead, for `generalized-ransac`), or the
         preset that ranked the matches; empty if unknown.
     message : str
-        For a reader: why `status` is not ``ok``; empty otherwise.
+        Why `status` is not ``ok``; empty otherwise.
     seconds : mapping of str to float
         Wall time per step.
     spread : int
-        How much of the images the inliers cover: in how many cells of 48 x 48 pixels at working size they lie, of the
-        two images the fewer (`epiprior.verification.spread`).
+        Number of cells of 48 x 48 pixels at working size that hold inliers, in the image where they are fewer
+        (`epiprior.verification.spread`).
     plausibility : float
-        Of `raw_F`, in [0, 1]: whether two ordinary cameras can have it (`epiprior.verification.plausibility`). No
-        match takes part
-        in it, so that it tells more of an F with much support than the support does. NaN without an F, and where the
-        sizes of the images are unknown: not known is not plausible.
+        Whether two ordinary cameras can have `raw_F`, in [0, 1] (`epiprior.verification.plausibility`); independent of
+        the matches. NaN without an F, and where the sizes of the images are unknown.
     """
 
     status: Status

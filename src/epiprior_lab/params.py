@@ -122,12 +122,10 @@ class HandOverParams(Section):
     max_distance_ratio: tuple[Probability, ...]
     top_k: tuple[TopK | None, ...]
     weighted: WeightedParams
-    min_probability: tuple[Probability | None, ...]
     threshold_px: tuple[Pixels, ...]
     one_to_one: tuple[bool, ...]
     refine: tuple[bool, ...]
     collect: tuple[bool, ...]
-    spread: tuple[Annotated[float, Range(0.001, 1)] | None, ...]
 
     def top_k_for(self, estimator: str) -> tuple[int | None, ...]:
         """Return the numbers of matches that are tried for an estimator."""

@@ -125,8 +125,7 @@ def test_estimate_as_json(library):
     assert calls["estimate"] == {
         "images": (Path("a.jpg"), Path("b.jpg")),
         "estimator": "prosac",
-        "mode": None,
-        "preprocess": None,
+        "mode": "preprocess",
         "preset": "default",
         "seed": 5,
         "threshold_px": 2.5,
@@ -136,15 +135,15 @@ def test_estimate_as_json(library):
 def test_estimate_without_preprocessing(library):
     calls, state = library
     state["estimate"] = estimate_of(input="standard")
-    printed = json.loads(run("estimate", "a", "b", "--no-preprocess").stdout)
-    assert (calls["estimate"]["preprocess"], calls["estimate"]["mode"]) == (False, None)
+    printed = json.loads(run("estimate", "a", "b", "--mode=standard").stdout)
+    assert calls["estimate"]["mode"] == "standard"
     assert (printed["input"], printed["preset"]) == ("standard", None)
 
 
 def test_estimate_with_a_mode(library):
     calls, _ = library
     printed = json.loads(run("estimate", "a", "b", "--mode", "cascade").stdout)
-    assert (calls["estimate"]["preprocess"], calls["estimate"]["mode"]) == (None, "cascade")
+    assert calls["estimate"]["mode"] == "cascade"
     assert (printed["input"], printed["preset"]) == ("default", "default")
     assert "default matches; roll" in run("estimate", "a", "b", "--mode", "cascade", "--text").stdout
     assert run("estimate", "a", "b", "--mode", "waterfall").exit_code == 2
@@ -262,7 +261,7 @@ def test_draw(library, images, tmp_path):
 def test_draw_without_geometry_still_draws(library, images, tmp_path):
     calls, state = library
     state["estimate"] = estimate_of(Status.NO_MODEL, "nothing fits")
-    result = run("draw", *images, "--out", tmp_path / "f.png", "--no-preprocess")
+    result = run("draw", *images, "--out", tmp_path / "f.png", "--mode=standard")
     assert result.exit_code == 1
     assert (tmp_path / "f.png").exists()
     assert calls["standard"]
@@ -295,7 +294,7 @@ def test_estimators():
     assert "usac" in result.stdout
     rows = {row["name"]: row for row in json.loads(run("estimators", "--json").stdout)}
     assert rows["usac"] == {"name": "usac", "available": True, "status": "available", "licence": "Apache-2.0"}
-    assert set(rows) == set(epiprior.estimators())
+    assert set(rows) == set(epiprior.list_estimators())
     assert all(row["licence"] for row in rows.values())
 
 
@@ -400,7 +399,7 @@ def assert_rows_correspond(F, x1):
     np.testing.assert_allclose(rows, np.array(x1)[:, 1], atol=1.5)
 
 
-@pytest.mark.parametrize("how", ["--preprocess", "--no-preprocess", "--mode=cascade"])
+@pytest.mark.parametrize("how", ["--mode=preprocess", "--mode=standard", "--mode=cascade"])
 def test_a_good_pair(with_model, photographs, how):
     result = run("estimate", photographs["left"], photographs["right"], how, "--json")
     assert result.exit_code == 0, result.stderr
@@ -410,9 +409,9 @@ def test_a_good_pair(with_model, photographs, how):
     assert_rows_correspond(printed["F"], [(100, 50), (300, 250)])
 
 
-@pytest.mark.parametrize("name", list(epiprior.estimators()))
+@pytest.mark.parametrize("name", list(epiprior.list_estimators()))
 def test_every_estimator_on_a_good_pair(with_model, photographs, name):
-    state = epiprior.estimators()[name]
+    state = epiprior.list_estimators()[name]
     result = run("estimate", photographs["small1"], photographs["small2"], "--estimator", name, "--json")
     if state != "available":
         assert (result.exit_code, result.stdout) == (2, "")
@@ -446,7 +445,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("name1", "name2", "code", "words"), BAD)
-@pytest.mark.parametrize("how", ["--preprocess", "--no-preprocess"])
+@pytest.mark.parametrize("how", ["--mode=preprocess", "--mode=standard"])
 def test_bad_pairs(with_model, photographs, name1, name2, code, words, how):
     result = run("--quiet", "estimate", photographs[name1], photographs[name2], how, "--json")
     assert result.exit_code == code
@@ -480,9 +479,6 @@ def test_unknown_names(with_model, photographs):
         assert result.exit_code == 2
         assert "nonsense" in one_line(result)
     assert "threshold" in one_line(run("estimate", *pair, "--threshold", "-1"))
-    both = run("estimate", *pair, "--mode", "cascade", "--no-preprocess")
-    assert both.exit_code == 2
-    assert "mode is 'cascade', but preprocess is False" in one_line(both)
 
 
 def test_what_is_not_installed(with_model, photographs, tmp_path, monkeypatch):
@@ -539,14 +535,14 @@ def test_a_damaged_model(model, tmp_path, monkeypatch, photographs, file):
 
 
 def test_exit_codes_of_the_real_program(photographs, tmp_path):
-    good = in_process("estimate", photographs["left"], photographs["right"], "--no-preprocess", "--json")
+    good = in_process("estimate", photographs["left"], photographs["right"], "--mode=standard", "--json")
     assert (good.returncode, json.loads(good.stdout)["status"]) == (0, "ok")
-    same = in_process("--quiet", "estimate", photographs["left"], photographs["left"], "--no-preprocess")
+    same = in_process("--quiet", "estimate", photographs["left"], photographs["left"], "--mode=standard")
     assert (same.returncode, json.loads(same.stdout)["status"]) == (1, "degenerate")
     assert same.stderr.startswith("epiprior: no fundamental matrix: degenerate")
     for arguments in (
-        ("estimate", photographs["missing"], photographs["left"], "--no-preprocess"),
-        ("estimate", photographs["cut"], photographs["left"], "--no-preprocess"),  # of which OpenCV warns as well
+        ("estimate", photographs["missing"], photographs["left"], "--mode=standard"),
+        ("estimate", photographs["cut"], photographs["left"], "--mode=standard"),  # of which OpenCV warns as well
         ("info", tmp_path),
         ("match", photographs["left"], photographs["right"], "--out", tmp_path / "no" / "m.csv"),
     ):

@@ -160,7 +160,7 @@ def test_long_messages_stay_left_of_the_colour_scale():
     ("image", "words"),
     [
         (np.zeros((5, 5)), "float64"),
-        (np.zeros((5, 5, 4), np.uint8), r"\(5, 5, 4\)"),
+        (np.zeros((5, 5, 2), np.uint8), r"\(5, 5, 2\)"),
         (np.zeros((0, 5), np.uint8), r"\(0, 5\)"),
         (np.zeros(5, np.uint8), r"\(5,\)"),
         ("nowhere/at_all.jpg", "at_all.jpg"),

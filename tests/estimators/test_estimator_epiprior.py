@@ -8,17 +8,15 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from epiprior.estimators import run
-from epiprior.estimators.epiprior_evidence import Evidence, match_weights, spread_evidence
-from epiprior.estimators.epiprior_plane import models_of_plane, plane_and_parallax
-from epiprior.estimators.epiprior_proposals import fit_samples, oriented_pairs, progressive_rows
-from epiprior.geometry import eight_point, normalise_fundamental, sampson_distance
-from epiprior.kernels.epiprior_kernels import climb, fit_weighted, refine_models
-from epiprior.kernels.samplers import generator_state
+from epiprior.estimators.evidence import Evidence, match_weights, spread_evidence
+from epiprior.estimators.proposals import models_of_plane, oriented_pairs, plane_and_parallax, progressive_rows
+from epiprior.geometry import as_columns, normalise_fundamental, sampson_distance
+from epiprior.kernels.local_steps import climb, refine_models
+from epiprior.kernels.samples import generator_state
 from epiprior.types import FloatArray, Status
-from epiprior.verification.plausibility import camera_plausibility
-from naive import sampson
-from synthetic import make_matches, make_pair, project, rotation
+from epiprior.verification.measures import camera_plausibility
+from naive import eight_point, sampson
+from synthetic import make_matches, make_pair, project, rotation, run
 
 
 def same_up_to_sign(a: FloatArray, b: FloatArray, tolerance: float) -> bool:
@@ -98,27 +96,6 @@ def test_no_matches_or_no_models_score_nothing():
     assert Evidence.of(m.x1, m.x2, m.probability, m.feature1).scores(np.empty((0, 3, 3)), 2.0).shape == (0,)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_weighted_fit_is_the_eight_point_algorithm(seed):
-    pair = make_pair(inliers=100, outliers=0, seed=seed)
-    weights = np.random.default_rng(seed).uniform(0, 1, 100)
-    weights[::5] = 0
-    F = np.zeros((3, 3))
-    assert fit_weighted(pair.matches.x1, pair.matches.x2, weights, F)
-    wanted = eight_point(pair.matches.x1, pair.matches.x2, weights)
-    assert wanted is not None
-    assert same_up_to_sign(F, wanted, 1e-9)
-    assert np.linalg.svd(F, compute_uv=False)[2] < 1e-12
-
-
-def test_weighted_fit_refuses_what_decides_nothing():
-    x = np.tile([[3.0, 4.0]], (20, 1))
-    F = np.zeros((3, 3))
-    assert not fit_weighted(x, x, np.ones(20), F)
-    assert not fit_weighted(x[:7], x[:7], np.ones(7), F)
-    assert not F.any()
-
-
 def naive_refinement(F, x1, x2, weights, thresholds):
     for threshold in thresholds:
         fit = np.zeros(len(x1))
@@ -136,7 +113,7 @@ def test_refinement_is_that_of_the_naive_twin():
     start = perturbed(pair.F, 4, 0.01)
     thresholds = (8.0, 4.0, 2.0)
     refined = start.copy()
-    refine_models(refined, m.x1, m.x2, m.probability, np.array(thresholds))
+    refine_models(refined, as_columns(m.x1, m.x2), m.probability, np.array(thresholds))
     for before, after in zip(start, refined, strict=True):
         assert same_up_to_sign(after, naive_refinement(before, m.x1, m.x2, m.probability, thresholds), 1e-7)
 
@@ -148,7 +125,7 @@ def test_climbing_returns_the_score_of_what_it_returns_and_never_less(seed):
     group = np.sort(np.random.default_rng(seed).integers(0, 60, 160))
     start = perturbed(pair.F, 1, 0.03, seed)[0]
     thresholds = np.array([3.0, 2.0, 1.5, 1.5])
-    args = (m.x1, m.x2, m.probability, m.probability, group)
+    args = (as_columns(m.x1, m.x2), m.probability, m.probability, group)
     scores, errors = [], []
     for samples in (0, 30):
         F = start.copy()
@@ -157,14 +134,6 @@ def test_climbing_returns_the_score_of_what_it_returns_and_never_less(seed):
         assert scores[-1] == pytest.approx(naive_score(F, m.x1, m.x2, m.probability, group, 2.0), rel=1e-6)
     assert naive_score(start, m.x1, m.x2, m.probability, group, 2.0) <= scores[0] <= scores[1]
     assert errors[1] < 0.5 < pair.error_px(normalise_fundamental(start))
-
-
-def test_samples_are_fitted_exactly():
-    pair = make_pair(inliers=40, outliers=0, noise_px=0.0)
-    rows = progressive_rows(40, 20)
-    models = fit_samples(pair.matches.x1, pair.matches.x2, rows)
-    for F, row in zip(models, rows, strict=True):
-        assert sampson_distance(F, pair.matches.x1[row], pair.matches.x2[row]).max() < 1e-6
 
 
 @pytest.mark.parametrize("n", [8, 9, 50, 1000])

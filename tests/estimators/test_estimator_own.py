@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from epiprior.estimators import EstimatorSettings, RawModel, find_estimator, fit, ratio_prior
-from epiprior.estimators.blogs import similarity_prior
-from epiprior.estimators.loop import Recipe, search
+from epiprior.estimators.own import Recipe, search, similarity_prior
 from epiprior.geometry import normalise_fundamental
 from epiprior.kernels.scores import KERNEL, LIKELIHOOD, SUPPORT
 from epiprior.types import MatchSet

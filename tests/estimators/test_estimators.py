@@ -15,24 +15,23 @@ from epiprior.errors import EstimatorError, FeatureError, SettingsError
 from epiprior.estimators import (
     EstimatorSettings,
     RawModel,
-    estimators,
     fit,
     licences,
+    list_estimators,
     names,
     opencv,
     registry,
-    run,
 )
 from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate, MatchSet, Status
-from synthetic import make_matches, make_pair
+from synthetic import make_matches, make_pair, run
 
 IN_ORDER = ("usac", "magsac++", "gc-ransac", "prosac")
 BY_PROBABILITY = ("guided-mlesac", "beem", "blogs", "generalized-ransac")
 WITHOUT_PRIOR = ("lo-ransac", "degensac", "colmap")
 DETERMINISTIC = ("epiprior",)
 KNOWN = {*IN_ORDER, *BY_PROBABILITY, *WITHOUT_PRIOR, *DETERMINISTIC}
-AVAILABLE = [name for name, state in estimators().items() if state == "available"]
+AVAILABLE = [name for name, state in list_estimators().items() if state == "available"]
 each_estimator = pytest.mark.parametrize("name", AVAILABLE)
 each_random_estimator = pytest.mark.parametrize("name", [name for name in AVAILABLE if name not in DETERMINISTIC])
 
@@ -62,9 +61,9 @@ def same_bytes(a: FundamentalEstimate, b: FundamentalEstimate) -> bool:
 
 def test_registry_names_states_and_licences():
     assert set(names()) == KNOWN
-    assert tuple(estimators()) == tuple(licences()) == names()
-    assert epiprior.estimators() == estimators()
-    assert estimators()["usac"] == "available"
+    assert tuple(list_estimators()) == tuple(licences()) == names()
+    assert epiprior.list_estimators() == list_estimators()
+    assert list_estimators()["usac"] == "available"
     assert all(licences().values())
 
 
@@ -368,9 +367,9 @@ def test_unknown_estimator_is_named():
 
 
 def test_missing_backend_says_what_to_install(monkeypatch):
-    monkeypatch.setattr("epiprior.estimators.packages.importlib.util.find_spec", lambda _: None)
-    assert registry.estimators()["degensac"] == 'pip install "epiprior[degensac]"'
-    assert registry.estimators()["colmap"].startswith("pip install")
+    monkeypatch.setattr("epiprior.estimators.optional.importlib.util.find_spec", lambda _: None)
+    assert list_estimators()["degensac"] == 'pip install "epiprior[degensac]"'
+    assert list_estimators()["colmap"].startswith("pip install")
     with pytest.raises(EstimatorError, match=r'prosac is not installed: pip install "epiprior\[poselib\]"'):
         run("prosac", make_pair().matches)
 

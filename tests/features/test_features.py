@@ -2,10 +2,15 @@ import cv2
 import numpy as np
 import pytest
 
-from epiprior.errors import FeatureError, ImageError, SettingsError
-from epiprior.features import detect as ft
+from epiprior.errors import ImageError
+from epiprior.features import describe
+from epiprior.features.describe import describe_at_orientation, describe_frames, normalise_descriptors
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
+from epiprior.features.locations import unique_locations
 from epiprior.matching.roll import expected_roll, orientation_differences
 from epiprior.matching.standard import nearest_neighbours
+from epiprior.presets import DETECTORS, FeatureSettings
 from epiprior.types import Features
 from pictures import rotated
 
@@ -24,8 +29,8 @@ def textured(seed=0, size=(240, 320)):
 def test_fixed_orientation_turns_with_the_image(angle_deg):
     image = textured()
     turned, A = rotated(image, angle_deg)
-    photo, photo_turned = ft.load_photograph(image), ft.load_photograph(turned)
-    found = ft.detect_features(photo)
+    photo, photo_turned = load_photograph(image), load_photograph(turned)
+    found = detect_features(photo)
     inside = np.flatnonzero(((found.xy > 40) & (found.xy < [280, 200])).all(axis=1) & (found.scale < 4))
     found = found.take(inside)
     moved = Features(
@@ -35,11 +40,11 @@ def test_fixed_orientation_turns_with_the_image(angle_deg):
         descriptors=found.descriptors,
         image_size=photo_turned.size,
     )
-    one = ft.normalise_descriptors(ft.describe_at_orientation(photo, found, 0.0), root=False, centred=True)
+    one = normalise_descriptors(describe_at_orientation(photo, found, 0.0), root=False, centred=True)
     similarity = {}
     for sign in (1, -1):
-        other = ft.describe_at_orientation(photo_turned, moved, sign * angle_deg)
-        two = ft.normalise_descriptors(other, root=False, centred=True)
+        other = describe_at_orientation(photo_turned, moved, sign * angle_deg)
+        two = normalise_descriptors(other, root=False, centred=True)
         similarity[sign] = float(np.median((one * two).sum(axis=1)))
     assert similarity[1] > 0.95
     if angle_deg:
@@ -48,10 +53,10 @@ def test_fixed_orientation_turns_with_the_image(angle_deg):
 
 def test_a_photograph_is_described_once_per_orientation(monkeypatch):
     image = textured()
-    found = ft.detect_features(ft.load_photograph(image))
+    found = detect_features(load_photograph(image))
     few = found.take(np.arange(30))
     asked = ((found, 0.0), (found, 30.0), (few, 0.0))
-    wanted = [ft.describe_at_orientation(ft.load_photograph(image), *each) for each in asked]
+    wanted = [describe_at_orientation(load_photograph(image), *each) for each in asked]
     assert not np.array_equal(wanted[0], wanted[1])
     described = []
 
@@ -59,34 +64,33 @@ def test_a_photograph_is_described_once_per_orientation(monkeypatch):
         described.append(len(frames))
         return describe_frames(grey, frames)
 
-    describe_frames = ft.describe_frames
-    monkeypatch.setattr(ft, "describe_frames", counted)
-    photo = ft.load_photograph(image)
+    monkeypatch.setattr(describe, "describe_frames", counted)
+    photo = load_photograph(image)
     for _ in range(2):
         for each, descriptors in zip(asked, wanted, strict=True):
-            np.testing.assert_array_equal(ft.describe_at_orientation(photo, *each), descriptors)
+            np.testing.assert_array_equal(describe_at_orientation(photo, *each), descriptors)
     assert described == [len(found), len(found), 30]
     with pytest.raises(ValueError, match="read-only"):
-        ft.describe_at_orientation(photo, found, 0.0)[0] = 0
+        describe_at_orientation(photo, found, 0.0)[0] = 0
 
 
 def test_a_loaded_photograph_is_taken_as_it_is():
     image = textured(size=(300, 500))
     for limit in (200, 1024):
-        photo = ft.load_photograph(image, limit)
-        assert ft.load_photograph(photo, limit) is photo
+        photo = load_photograph(image, limit)
+        assert load_photograph(photo, limit) is photo
     with pytest.raises(ImageError, match="max_image_size 200"):
-        ft.load_photograph(photo, 200)
+        load_photograph(photo, 200)
     with pytest.raises(ImageError, match="max_image_size 400"):
-        ft.load_photograph(ft.load_photograph(image, 200), 400)
+        load_photograph(load_photograph(image, 200), 400)
 
 
 @pytest.mark.parametrize("angle_deg", [37.0, 90.0, -120.0])
 def test_roll_is_recovered_from_a_turned_image(angle_deg):
     image = textured(1)
-    one = ft.detect_features(ft.load_photograph(image))
-    two = ft.detect_features(ft.load_photograph(rotated(image, angle_deg)[0]))
-    d1, d2 = (ft.normalise_descriptors(f.descriptors, root=True, centred=True) for f in (one, two))
+    one = detect_features(load_photograph(image))
+    two = detect_features(load_photograph(rotated(image, angle_deg)[0]))
+    d1, d2 = (normalise_descriptors(f.descriptors, root=True, centred=True) for f in (one, two))
     forward, _ = nearest_neighbours(d1, d2)
     good = np.flatnonzero(forward.distance_ratio < 0.8)
     roll = expected_roll(orientation_differences(one.orientation_deg[good], two.orientation_deg[forward.nearest[good]]))
@@ -94,11 +98,11 @@ def test_roll_is_recovered_from_a_turned_image(angle_deg):
 
 
 def test_described_again_at_their_own_orientation_features_look_the_same():
-    photo = ft.load_photograph(textured(2))
-    found = ft.detect_features(photo)
+    photo = load_photograph(textured(2))
+    found = detect_features(photo)
     frames = np.column_stack([found.xy, found.scale, found.orientation_deg])
-    again = ft.normalise_descriptors(ft.describe_frames(photo.grey, frames), root=False, centred=True)
-    first = ft.normalise_descriptors(found.descriptors, root=False, centred=True)
+    again = normalise_descriptors(describe_frames(photo.grey, frames), root=False, centred=True)
+    first = normalise_descriptors(found.descriptors, root=False, centred=True)
     similarity = (first * again).sum(axis=1)
     assert np.median(similarity) > 0.999
     assert (similarity > 0.95).mean() > 0.98
@@ -107,8 +111,8 @@ def test_described_again_at_their_own_orientation_features_look_the_same():
 def test_large_images_come_back_in_their_own_pixels():
     small = textured(3, (480, 640))
     large = cv2.resize(small, (1280, 960), interpolation=cv2.INTER_CUBIC)
-    a = ft.detect_features(ft.load_photograph(small))
-    b = ft.detect_features(ft.load_photograph(large, 640))
+    a = detect_features(load_photograph(small))
+    b = detect_features(load_photograph(large, 640))
     assert b.image_size == (1280, 960)
     reference = (a.xy + 0.5) * 2 - 0.5
     nearest = np.array([np.hypot(*(b.xy - x).T).min() for x in reference])
@@ -117,7 +121,7 @@ def test_large_images_come_back_in_their_own_pixels():
 
 
 def test_working_map_is_the_change_of_coordinates():
-    photo = ft.load_photograph(textured(0, (300, 500)), 250)
+    photo = load_photograph(textured(0, (300, 500)), 250)
     xy = np.array([[0.0, 0.0], [499.0, 299.0], [17.5, 80.25]])
     expected = xy @ photo.working_map[:2, :2].T + photo.working_map[:2, 2]
     np.testing.assert_allclose(photo.to_working(xy), expected)
@@ -127,17 +131,15 @@ def test_working_map_is_the_change_of_coordinates():
 def test_colour_arrays_and_files_agree(tmp_path):
     colour = np.stack([textured(k) for k in range(3)], axis=2)
     cv2.imwrite(str(tmp_path / "x.png"), colour[:, :, ::-1])
-    difference = ft.load_photograph(tmp_path / "x.png").grey.astype(int) - ft.load_photograph(colour).grey
+    difference = load_photograph(tmp_path / "x.png").grey.astype(int) - load_photograph(colour).grey
     assert np.abs(difference).max() <= 1
 
 
-@pytest.mark.parametrize("detector", sorted(ft.DETECTORS))
-def test_every_front_end(detector):
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_features_of_every_detector(detector):
     if detector == "colmap-sift":
         pytest.importorskip("pycolmap")
-    found = ft.detect_features(
-        ft.load_photograph(textured(4)), ft.FeatureSettings(detector=detector, max_keypoints=200)
-    )
+    found = detect_features(load_photograph(textured(4)), FeatureSettings(detector=detector, max_keypoints=200))
     assert 10 < len(found) <= 300
     assert found.descriptors.shape == (len(found), 128)
     assert (found.scale > 0).all()
@@ -145,9 +147,9 @@ def test_every_front_end(detector):
 
 def test_opencv_and_colmap_sift_agree_on_the_pixel_origin():
     pytest.importorskip("pycolmap")
-    photo = ft.load_photograph(textured(5))
-    a = ft.detect_features(photo)
-    b = ft.detect_features(photo, ft.FeatureSettings(detector="colmap-sift"))
+    photo = load_photograph(textured(5))
+    a = detect_features(photo)
+    b = detect_features(photo, FeatureSettings(detector="colmap-sift"))
     # COLMAP's threshold is lower: it finds what OpenCV finds, and more.
     nearest = np.array([np.hypot(*(b.xy - x).T).min() for x in a.xy])
     assert np.median(nearest) < 0.01
@@ -157,7 +159,7 @@ def test_opencv_and_colmap_sift_agree_on_the_pixel_origin():
     ("image", "message"),
     [
         (np.zeros((4, 4), np.float32), "float32"),
-        (np.zeros((4, 4, 4), np.uint8), r"\(4, 4, 4\)"),
+        (np.zeros((4, 4, 2), np.uint8), r"\(4, 4, 2\)"),
         (np.zeros((0, 4), np.uint8), "empty"),
         (7, "int"),
         ("no/such.jpg", "no/such.jpg"),
@@ -165,19 +167,19 @@ def test_opencv_and_colmap_sift_agree_on_the_pixel_origin():
 )
 def test_bad_images_are_named(image, message):
     with pytest.raises(ImageError, match=message):
-        ft.load_photograph(image)
+        load_photograph(image)
 
 
 def test_files_that_are_no_images_are_named(tmp_path):
     for name, data in (("text.jpg", b"not an image"), ("empty.png", b"")):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(ImageError, match=name):
-            ft.load_photograph(tmp_path / name)
+            load_photograph(tmp_path / name)
 
 
 @pytest.mark.parametrize("image", [np.zeros((200, 200), np.uint8), np.zeros((10, 10), np.uint8)])
 def test_no_texture_no_features(image):
-    assert len(ft.detect_features(ft.load_photograph(image))) == 0
+    assert len(detect_features(load_photograph(image))) == 0
 
 
 def test_twins_are_one_location():
@@ -189,50 +191,18 @@ def test_twins_are_one_location():
         descriptors=np.ones((4, 128), np.float32),
         image_size=(10, 10),
     )
-    first, location = ft.unique_locations(found)
+    first, location = unique_locations(found)
     assert first.tolist() == [0, 1, 3]
     assert location.tolist() == [0, 1, 0, 2]
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        ("xy", np.full((2, 2), np.nan), "xy holds a NaN"),
-        ("scale", np.array([1.0, 0.0]), "positive"),
-        ("scale", np.ones(3), r"\(3,\)"),
-        ("descriptors", np.full((2, 128), np.inf), "descriptors holds"),
-        ("orientation_deg", ["a", "b"], "orientation_deg"),
-        ("image_size", (640, 0), r"\(640, 0\)"),
-        ("image_size", (640.0, np.nan), "image_size"),
-        ("image_size", (640, 480, 3), "image_size"),
-        ("image_size", None, "image_size"),
-    ],
-)
-def test_bad_features_are_named(field, value, message):
-    good = {
-        "xy": np.ones((2, 2)),
-        "scale": np.ones(2),
-        "orientation_deg": np.zeros(2),
-        "descriptors": np.ones((2, 128), np.float32),
-        "image_size": (10, 10),
-    }
-    with pytest.raises(FeatureError, match=message):
-        Features(**{**good, field: value})
-
-
-@pytest.mark.parametrize("bad", [{"detector": "magic"}, {"max_image_size": 3}, {"max_keypoints": 1}])
-def test_bad_settings_are_named(bad):
-    with pytest.raises(SettingsError, match=next(iter(bad))):
-        ft.FeatureSettings(**bad)
 
 
 def test_normalised_descriptors():
     d = np.random.default_rng(0).random((5, 128)).astype(np.float32)
     d[2] = 0
-    plain = ft.normalise_descriptors(d, root=False, centred=True)
+    plain = normalise_descriptors(d, root=False, centred=True)
     expected = np.corrcoef(d[0], d[1])[0, 1]
     assert plain[0] @ plain[1] == pytest.approx(expected, abs=1e-5)
     assert (plain[2] == 0).all()
-    root = ft.normalise_descriptors(d, root=True, centred=False)
+    root = normalise_descriptors(d, root=True, centred=False)
     bhattacharyya = np.sqrt(d[0] / d[0].sum()) @ np.sqrt(d[1] / d[1].sum())
     assert root[0] @ root[1] == pytest.approx(bhattacharyya, abs=1e-5)

@@ -9,8 +9,11 @@ import pycolmap
 import pytest
 
 from epiprior import FeatureError, Features, rank_matches
-from epiprior.features.detect import FeatureSettings, detect_features, load_photograph, normalise_descriptors
+from epiprior.features.describe import normalise_descriptors
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
 from epiprior.io import read_colmap_features, read_hloc_features
+from epiprior.presets import FeatureSettings
 from pictures import relief_pair
 
 SIZE = (640, 480)

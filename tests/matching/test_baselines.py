@@ -1,4 +1,4 @@
-"""Inputs without preprocessing: handed-in features, and the many candidates of generalised RANSAC."""
+"""Inputs that are not ranked: standard matches, mutual nearest neighbours, candidates of generalised RANSAC."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import epiprior
 import epiprior.matching.pair
 from epiprior.errors import FeatureError, SettingsError
 from epiprior.estimators import run
-from epiprior.features.detect import detect_features, load_photograph
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
 from epiprior.matching.baselines import _candidates, generalized_matches, snn_matches, standard_matches
 from epiprior.types import Status
 from pictures import relief_pair, texture
@@ -107,3 +108,20 @@ def test_pictures_without_texture():
 def test_settings_out_of_range_are_refused(bad):
     with pytest.raises(SettingsError, match=next(iter(bad))):
         epiprior.generalized_matches(*relief_pair(), **bad)
+
+
+def test_standard_matches_are_the_papers():
+    found = standard_matches(*relief_pair())
+    assert (np.diff(found.distance_ratio) >= 0).all()
+    assert found.distance_ratio.max() <= 0.9
+    assert np.isnan(found.probability).all()
+    fewer = standard_matches(*relief_pair(), max_distance_ratio=0.6)
+    assert 0 < len(fewer) < len(found)
+    np.testing.assert_array_equal(fewer.x1, found.x1[: len(fewer)])
+
+
+def test_snn_is_mutual_and_ordered():
+    found = snn_matches(*relief_pair())
+    assert (np.diff(found.distance_ratio) >= 0).all()
+    assert found.distance_ratio.max() < 0.85
+    assert len({tuple(x) for x in np.column_stack([found.x2, found.orientation2_deg])}) == len(found)

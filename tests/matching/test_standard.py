@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import naive
-from epiprior.matching.standard import mutual_mask, nearest_neighbours, similarity_weights
+from epiprior.matching.standard import mutual_mask, nearest_neighbours, similarity_weights, standard_table
 
 
 def unit(rng, n, d=16):
@@ -61,3 +61,48 @@ def test_similarity_weight_as_printed():
         assert weights[i] == pytest.approx(expected, rel=1e-4, abs=1e-7)
         positive += 1
     assert positive > 5
+
+
+def naive_table(d1, d2, of1, of2, limit):
+    S = d1 @ d2.T
+    forward, backward = nearest_neighbours(d1, d2)
+    weights = similarity_weights(forward, backward)
+    rows = {}
+
+    def ratio(sims):
+        top = np.sort(sims)[::-1]
+        return np.arccos(top[0]) / np.arccos(top[1])
+
+    for i in range(len(d1)):
+        j = int(S[i].argmax())
+        mutual = int(S[:, j].argmax()) == i
+        r = ratio(S[i])
+        if r <= limit or mutual:
+            old = rows.get((of1[i], of2[j]), (1.0, 0.0, False))
+            new = (min(old[0], r if r <= limit else 1.0), max(old[1], weights[i]), old[2] or mutual)
+            rows[of1[i], of2[j]] = new
+    back = {}
+    for j in range(len(d2)):
+        i = int(S[:, j].argmax())
+        key = (of1[i], of2[j])
+        back[key] = min(back.get(key, 1.0), ratio(S[:, j]))
+    return {key: (*value, back.get(key, 1.0)) for key, value in rows.items()}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_standard_table_equals_naive(seed):
+    rng = np.random.default_rng(seed)
+    d1, d2 = unit(rng, 60), unit(rng, 50)
+    of1, of2 = np.sort(rng.integers(0, 40, 60)), np.sort(rng.integers(0, 35, 50))
+    of1, of2 = (np.unique(of, return_inverse=True)[1] for of in (of1, of2))
+    table = standard_table(*nearest_neighbours(d1, d2), (of1, of2), 0.8)
+    expected = naive_table(d1, d2, of1, of2, 0.8)
+    keys = list(zip(table.location1.tolist(), table.location2.tolist(), strict=True))
+    assert keys == sorted(expected)
+    for k, key in enumerate(keys):
+        ratio, weight, mutual, backward = expected[key]
+        assert table.distance_ratio[k] == pytest.approx(ratio, rel=1e-3)
+        assert table.similarity_weight[k] == pytest.approx(weight, rel=1e-3, abs=1e-9)
+        assert table.mutual[k] == mutual
+        assert table.distance_ratio_backward[k] == pytest.approx(backward, rel=1e-3)
+    assert 0 < table.mutual.sum() < len(keys)

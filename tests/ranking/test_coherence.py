@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import naive
-from epiprior.ranking.coherence import COLUMNS, FAR, NEAR, coherence, descriptor_weights
+from epiprior.presets import COHERENCE_COLUMNS
+from epiprior.ranking.coherence import FAR, NEAR, coherence, descriptor_weights
 from epiprior.ranking.frames import MatchFrames
 
 
@@ -37,7 +38,7 @@ def test_equals_naive(places, roll):
     weights = rng.random(m) * rng.integers(0, 2, m)
     found = coherence(frames_of(x1, x2, scale1, scale2, roll), location1, weights)
     wanted = naive.coherence(x1, x2, scale1, scale2, location1, weights, roll, NEAR, FAR)
-    assert found.shape == (m, len(COLUMNS))
+    assert found.shape == (m, len(COHERENCE_COLUMNS))
     np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
@@ -56,7 +57,7 @@ def test_neither_a_match_without_neighbours_nor_no_match_says_anything():
     one = frames_of([[1.0, 1.0]], [[2.0, 2.0]])
     assert not coherence(one, np.zeros(1, np.int64), np.ones(1)).any()
     none = np.empty((0, 2))
-    assert coherence(frames_of(none, none), np.empty(0, np.int64), np.empty(0)).shape == (0, len(COLUMNS))
+    assert coherence(frames_of(none, none), np.empty(0, np.int64), np.empty(0)).shape == (0, len(COHERENCE_COLUMNS))
     far = frames_of([[0.0, 0.0], [900.0, 0.0]], [[0.0, 0.0], [900.0, 0.0]])
     assert not coherence(far, np.arange(2), np.ones(2)).any()
 

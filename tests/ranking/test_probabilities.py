@@ -2,19 +2,17 @@ import numpy as np
 import pytest
 
 from epiprior.matching.putative import PutativeMatches
-from epiprior.matching.standard import nearest_neighbours, similarity_weights
-from epiprior.ranking.coherence import COLUMNS as COHERENCE
+from epiprior.matching.standard import nearest_neighbours, standard_table
+from epiprior.presets import COHERENCE_COLUMNS, MATCH_COLUMNS, PAPER_TWO_KEYPOINT_COLUMNS
 from epiprior.ranking.frames import MatchFrames
 from epiprior.ranking.probabilities import (
-    DEFAULT_MATCH_COLUMNS,
     _best_rival,
     match_table,
     pair_columns,
-    standard_table,
     two_keypoint_scores,
     unite,
 )
-from epiprior.ranking.two_keypoints import PAPER_COLUMNS, TwoKeypointMatches
+from epiprior.ranking.two_keypoints import TwoKeypointMatches
 
 
 def unit(rng, n, d=6):
@@ -27,51 +25,6 @@ def putative(pairs, n1, n2):
     counts = np.bincount(rows[:, 0], minlength=n1)
     start = np.concatenate([[0], np.cumsum(counts)])
     return PutativeMatches(rows[:, 0], rows[:, 1], start, counts, np.bincount(rows[:, 1], minlength=n2))
-
-
-def naive_table(d1, d2, of1, of2, limit):
-    S = d1 @ d2.T
-    forward, backward = nearest_neighbours(d1, d2)
-    weights = similarity_weights(forward, backward)
-    rows = {}
-
-    def ratio(sims):
-        top = np.sort(sims)[::-1]
-        return np.arccos(top[0]) / np.arccos(top[1])
-
-    for i in range(len(d1)):
-        j = int(S[i].argmax())
-        mutual = int(S[:, j].argmax()) == i
-        r = ratio(S[i])
-        if r <= limit or mutual:
-            old = rows.get((of1[i], of2[j]), (1.0, 0.0, False))
-            new = (min(old[0], r if r <= limit else 1.0), max(old[1], weights[i]), old[2] or mutual)
-            rows[of1[i], of2[j]] = new
-    back = {}
-    for j in range(len(d2)):
-        i = int(S[:, j].argmax())
-        key = (of1[i], of2[j])
-        back[key] = min(back.get(key, 1.0), ratio(S[:, j]))
-    return {key: (*value, back.get(key, 1.0)) for key, value in rows.items()}
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_standard_table_equals_naive(seed):
-    rng = np.random.default_rng(seed)
-    d1, d2 = unit(rng, 60), unit(rng, 50)
-    of1, of2 = np.sort(rng.integers(0, 40, 60)), np.sort(rng.integers(0, 35, 50))
-    of1, of2 = (np.unique(of, return_inverse=True)[1] for of in (of1, of2))
-    table = standard_table(*nearest_neighbours(d1, d2), (of1, of2), 0.8)
-    expected = naive_table(d1, d2, of1, of2, 0.8)
-    keys = list(zip(table.location1.tolist(), table.location2.tolist(), strict=True))
-    assert keys == sorted(expected)
-    for k, key in enumerate(keys):
-        ratio, weight, mutual, backward = expected[key]
-        assert table.distance_ratio[k] == pytest.approx(ratio, rel=1e-3)
-        assert table.similarity_weight[k] == pytest.approx(weight, rel=1e-3, abs=1e-9)
-        assert table.mutual[k] == mutual
-        assert table.distance_ratio_backward[k] == pytest.approx(backward, rel=1e-3)
-    assert 0 < table.mutual.sum() < len(keys)
 
 
 def frames_of(n, rng=None):
@@ -98,7 +51,7 @@ def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
     around = rng.random((len(union), 4))
     scores = (np.linspace(0, 1, len(X)), np.linspace(0, 2, len(X)))
     kpmd = match_table(union, frames, table, sfm, sfm / 2, scores, around, (0.9, 0.5, 0.2))
-    assert kpmd.columns == DEFAULT_MATCH_COLUMNS
+    assert kpmd.columns == MATCH_COLUMNS
     for row, pair in enumerate(pairs):
         votes, ratio, weight, mutual = kpmd.descriptors[row, :4]
         assert votes == (sfm[in_x.index(pair)] if pair in in_x else 0)
@@ -110,7 +63,7 @@ def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
     rivals = [sum((a == p) != (b == q) for p, q in pairs) for a, b in pairs]
     assert kpmd.column("rivals").tolist() == rivals
     np.testing.assert_allclose(kpmd.column("scale_change"), np.abs(np.log(frames.scale2 / frames.scale1)), rtol=1e-6)
-    np.testing.assert_allclose(kpmd.select(COHERENCE), around, rtol=1e-6)
+    np.testing.assert_allclose(kpmd.select(COHERENCE_COLUMNS), around, rtol=1e-6)
     assert np.unique(kpmd.select(("pair_two_keypoints", "pair_support")), axis=0) == pytest.approx(
         np.array([[0.5, 0.2]])
     )
@@ -136,7 +89,7 @@ def test_best_rival_equals_naive():
 def test_two_keypoint_scores_equal_naive():
     rng = np.random.default_rng(2)
     main, other, p = rng.integers(0, 9, 30), rng.integers(0, 9, 30), rng.random(30)
-    pairs = TwoKeypointMatches(main, other, PAPER_COLUMNS, np.zeros((30, 6), np.float32))
+    pairs = TwoKeypointMatches(main, other, PAPER_TWO_KEYPOINT_COLUMNS, np.zeros((30, 6), np.float32))
     best, total = two_keypoint_scores(pairs, p, 10)
     for row in range(10):
         mine = np.concatenate([p[main == row], p[other == row]])
@@ -153,4 +106,4 @@ def test_nothing_at_all():
     kpmd = match_table(
         union, frames_of(0), table, np.empty(0, np.int64), empty, (empty, empty), none_around, (0.0, 0.0, 0.0)
     )
-    assert kpmd.descriptors.shape == (0, len(DEFAULT_MATCH_COLUMNS))
+    assert kpmd.descriptors.shape == (0, len(MATCH_COLUMNS))

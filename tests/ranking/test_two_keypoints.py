@@ -3,25 +3,15 @@ import pytest
 
 import naive
 from epiprior.matching.putative import PutativeMatches
-from epiprior.ranking.coherence import COLUMNS as COHERENCE
+from epiprior.presets import COHERENCE_COLUMNS, PAPER_TWO_KEYPOINT_COLUMNS, TWO_KEYPOINT_COLUMNS
 from epiprior.ranking.frames import MatchFrames
+from epiprior.ranking.neighbourhoods import neighbourhoods
 from epiprior.ranking.two_keypoints import (
-    DEFAULT_COLUMNS,
-    PAPER_COLUMNS,
     best_two_keypoint_matches,
     describe_two_keypoint_matches,
     match_two_keypoints,
-    neighbourhoods,
 )
-
-FLAGS = {"nearest": 1, "within": 2, "cluster": 4}
-
-
-def random_scene(seed, n=60, clusters=8):
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(0, 100, (n, 2))
-    xy[5] = xy[6]  # twins at one place with different scales
-    return xy, rng.uniform(0.8, 4, n), rng.integers(0, clusters, n)
+from synthetic import random_scene
 
 
 def random_X(seed, n1=60, n2=60, m=400):
@@ -53,26 +43,6 @@ def frames_of(X, scene1, scene2, rng):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_neighbourhoods_equal_naive(seed):
-    xy, scale, label = random_scene(seed)
-    found = neighbourhoods(xy, scale, label, nearest=5, within=5.0, nearest_of_cluster=2, max_within=1000)
-    expected = naive.neighbour_rules(xy, scale, label, 5, 5.0, 2)
-    for i, rules in enumerate(expected):
-        part = slice(found.start[i], found.start[i + 1])
-        got = dict(zip(found.neighbour[part].tolist(), found.rule[part].tolist(), strict=True))
-        assert got == {j: sum(FLAGS[rule] for rule in how) for j, how in rules.items()}
-        assert (np.diff(found.neighbour[part]) > 0).all()
-
-
-def test_the_radius_rule_keeps_the_nearest_up_to_its_cap():
-    xy, scale, label = random_scene(0)
-    found = neighbourhoods(xy, scale * 50, label, nearest=0, within=5.0, nearest_of_cluster=0, max_within=7)
-    assert (np.diff(found.start) == 7).all()
-    distance = np.hypot(*(xy - xy[0]).T)
-    assert set(found.neighbour[:7].tolist()) == set(np.argsort(distance)[1:8].tolist())
-
-
-@pytest.mark.parametrize("seed", range(4))
 def test_matches_and_descriptors_equal_naive(seed):
     scene1, scene2 = random_scene(seed), random_scene(seed + 100)
     X = random_X(seed)
@@ -89,7 +59,7 @@ def test_matches_and_descriptors_equal_naive(seed):
 
     same = scene1[2][X.feature1[main]] == scene1[2][X.feature1[other]]
     described = describe_two_keypoint_matches(X, frames, main, other, same)
-    assert described.columns == PAPER_COLUMNS
+    assert described.columns == PAPER_TWO_KEYPOINT_COLUMNS
     for row, (p1, n1, p2, n2) in enumerate(found):
         m = main[row]
         ratio, angle, least = naive.two_keypoint_descriptor(
@@ -113,8 +83,8 @@ def test_extended_columns():
     main, other = match_two_keypoints(X, neighbourhoods(*scene1), neighbourhoods(*scene2))
     around = np.random.default_rng(2).random((len(X), 4))
     table = describe_two_keypoint_matches(X, frames, main, other, np.zeros(len(main), bool), around)
-    assert table.columns == DEFAULT_COLUMNS
-    assert table.descriptors.shape == (len(main), len(DEFAULT_COLUMNS))
+    assert table.columns == TWO_KEYPOINT_COLUMNS
+    assert table.descriptors.shape == (len(main), len(TWO_KEYPOINT_COLUMNS))
     changes = np.log(frames.scale2 / frames.scale1)
     np.testing.assert_allclose(
         table.select(("scale_change_difference",))[:, 0], np.abs(changes[main] - changes[other]), atol=1e-5
@@ -122,7 +92,7 @@ def test_extended_columns():
     turn = np.abs(table.select(("turn_difference", "roll_error_main")))
     assert turn.max() <= np.pi + 1e-5
     for name, rows in (("main", main), ("neighbour", other)):
-        columns = tuple(f"{column}_{name}" for column in COHERENCE)
+        columns = tuple(f"{column}_{name}" for column in COHERENCE_COLUMNS)
         np.testing.assert_allclose(table.select(columns), around[rows], rtol=1e-6)
 
 
@@ -142,7 +112,5 @@ def test_a_pair_and_its_swap_count_once_and_ties_are_broken():
 
 def test_no_matches():
     X = random_X(0, m=0)
-    none = neighbourhoods(np.empty((0, 2)), np.empty(0), np.empty(0, np.int64))
-    assert len(none.neighbour) == 0
     main, _ = match_two_keypoints(X, neighbourhoods(*random_scene(0)), neighbourhoods(*random_scene(1)))
     assert len(main) == 0

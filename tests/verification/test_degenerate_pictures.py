@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from epiprior.estimators import run
 from epiprior.matching.baselines import snn_matches
 from epiprior.types import FloatArray, MatchSet, Status
 from pictures import relief_pair, texture
-from synthetic import rotation
+from synthetic import rotation, run
 
 SIZE = (480, 360)
 CAMERA = np.array([[420.0, 0.0, 240.0], [0.0, 420.0, 180.0], [0.0, 0.0, 1.0]])
@@ -54,9 +53,8 @@ def test_a_turning_camera_decides_nothing(name):
 def test_a_photographed_plane_decides_nothing(name, seeds):
     """Where chance puts a third wrong match on the epipolar lines of two others, F passes for decided.
 
-    `epiprior.verification.degeneracy.why_degenerate` tells how often, docs/degeneracy.md what follows. Here it is
-    half of the seeds
-    with OpenCV 5, less with 4.13: one seed would be a lottery.
+    `epiprior.verification.degeneracy.why_degenerate` tells how often, docs/degeneracy.md what follows. Here it is half
+    of the seeds with OpenCV 5, less with 4.13: one seed would be a lottery.
     """
     matches = matches_of("plane")
     assert len(matches) > 100

@@ -16,7 +16,7 @@ def info(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="Name or folder.", show_default=False)],
     as_json: Json = False,
 ) -> None:
-    """Check a model's files and tell what it was trained on, its columns, metrics and versions.
+    """Check a model's files and print what it was trained on, its columns, metrics and versions.
 
     epiprior info default
 
@@ -35,19 +35,15 @@ def info(
 
 def estimators(as_json: Json = False) -> None:
     """List the estimators: available here or what to install, and the licence of what runs."""
-    from epiprior.estimators.registry import estimators as availability
-    from epiprior.estimators.registry import licences
+    from epiprior.estimators import licences, list_estimators
 
-    licence = licences()
+    licence, states = licences(), list_estimators()
     if as_json:
         print_json(
-            [
-                {"name": n, "available": a == "available", "status": a, "licence": licence[n]}
-                for n, a in availability().items()
-            ]
+            [{"name": n, "available": a == "available", "status": a, "licence": licence[n]} for n, a in states.items()]
         )
         return
-    rows = [(name, state, licence[name]) for name, state in availability().items()]
+    rows = [(name, state, licence[name]) for name, state in states.items()]
     print_table(("estimator", "available, or what to install", "licence"), rows)
 
 

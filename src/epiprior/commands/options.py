@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from epiprior import mode
+from epiprior import presets
 from epiprior.commands.printing import complain
 
 if TYPE_CHECKING:
+    from epiprior.presets import PreprocessSettings
     from epiprior.types import FundamentalEstimate
 
 NO_GEOMETRY = 1
@@ -21,20 +23,10 @@ Image2 = Annotated[Path, typer.Argument(metavar="B", help="Second photograph.", 
 Preset = Annotated[str, typer.Option(help="'default' (the best measured) or 'paper' (as printed).")]
 Estimator = Annotated[str, typer.Option(help="See 'epiprior estimators'.")]
 Mode = Annotated[
-    mode.Mode | None,
+    presets.Mode,
     typer.Option(
-        help="'preprocess': matches are ranked by probability first (the default). 'standard': the paper's standard "
-        "matches. 'cascade': standard matches first; ranked ones only if inliers cover little or F is implausible.",
-        show_default=False,
-    ),
-]
-Preprocess = Annotated[
-    bool, typer.Option(help="Rank matches by probability first; without it, the paper's standard matches are used.")
-]
-PreprocessSwitch = Annotated[
-    bool | None,
-    typer.Option(
-        "--preprocess/--no-preprocess", help="Short for '--mode preprocess' and '--mode standard'.", show_default=False
+        help="'preprocess': matches are ranked by probability first. 'standard': the paper's standard matches. "
+        "'cascade': standard matches first; ranked ones only if inliers cover little or F is implausible.",
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Of the random draw; same seed, same result.")]
@@ -42,7 +34,35 @@ Threshold = Annotated[
     float | None,
     typer.Option(help="Inlier threshold, pixels. Default: the estimator's own, as chosen on validation scenes."),
 ]
+MaxImageSize = Annotated[
+    int | None,
+    typer.Option(help="Longer side at which images are worked on, pixels. Default: the preset's.", show_default=False),
+]
+Detector = Annotated[
+    Literal["sift", "colmap-sift"],
+    typer.Option("--features", help="'sift' (OpenCV's) or 'colmap-sift' (VLFeat's, needs pycolmap)."),
+]
+MaxFeatures = Annotated[
+    int | None, typer.Option(help="Strongest features kept of an image. Default: the preset's.", show_default=False)
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+def chosen_settings(
+    preset: str, detector: str, max_image_size: int | None, max_features: int | None
+) -> PreprocessSettings:
+    """Return the preset with the features that were asked for; SettingsError names what is out of range."""
+    from epiprior.presets import find_preset
+
+    settings = find_preset(preset)
+    own = settings.features
+    features = replace(
+        own,
+        detector=detector,
+        max_image_size=own.max_image_size if max_image_size is None else max_image_size,
+        max_keypoints=own.max_keypoints if max_features is None else max_features,
+    )
+    return replace(settings, features=features)
 
 
 def exit_by_status(found: FundamentalEstimate) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,18 +14,22 @@ import typer
 
 from epiprior.commands.options import (
     NO_GEOMETRY,
+    Detector,
     Estimator,
     Image1,
     Image2,
+    MaxFeatures,
+    MaxImageSize,
     Mode,
-    Preprocess,
-    PreprocessSwitch,
     Preset,
     Seed,
     Threshold,
+    chosen_settings,
     exit_by_status,
 )
-from epiprior.commands.printing import complain, estimate_as_json, print_estimate, print_json, summary
+from epiprior.commands.printing import complain, estimate_as_json, print_estimate, print_json, say, summary
+
+_logger = logging.getLogger(__name__)
 
 
 def match(
@@ -32,6 +38,9 @@ def match(
     *,
     out: Annotated[Path, typer.Option(help="Table to write: .csv or .npz.", show_default=False)],
     preset: Preset = "default",
+    features: Detector = "sift",
+    max_image_size: MaxImageSize = None,
+    max_features: MaxFeatures = None,
 ) -> None:
     """Write the matches of two photographs with their probabilities, best first.
 
@@ -45,13 +54,17 @@ def match(
     check_output(out, TABLES)
     from epiprior import rank_matches
 
-    ranked = rank_matches(image1, image2, preset=preset)
+    settings = chosen_settings(preset, features, max_image_size, max_features)
+    ranked = rank_matches(image1, image2, settings=settings)
     write_matches(out, ranked)
     counts = ", ".join(f"{len(s)} at a roll of {s.roll_deg:.0f} deg" for s in ranked.sets)
     if not any(len(s) for s in ranked.sets):
-        complain("no matches: too few features in at least one of the images")
+        from epiprior.features.shortage import explain_shortage
+
+        why = explain_shortage((image1, image2), (None, None), settings.features)
+        complain(f"no matches: {why or 'no feature resembles one of the other image'}")
         raise typer.Exit(NO_GEOMETRY)
-    typer.echo(f"{out}: {counts}")
+    say(f"{out}: {counts}")
 
 
 def estimate(
@@ -59,11 +72,13 @@ def estimate(
     image2: Image2,
     *,
     estimator: Estimator = "epiprior",
-    mode: Mode = None,
-    preprocess: PreprocessSwitch = None,
+    mode: Mode = "preprocess",
     seed: Seed = 0,
     threshold: Threshold = None,
     preset: Preset = "default",
+    features: Detector = "sift",
+    max_image_size: MaxImageSize = None,
+    max_features: MaxFeatures = None,
     as_json: Annotated[
         bool | None,
         typer.Option("--json/--text", help="Default: text on a terminal, JSON elsewhere.", show_default=False),
@@ -82,8 +97,7 @@ def estimate(
         image2,
         estimator=estimator,
         mode=mode,
-        preprocess=preprocess,
-        preset=preset,
+        settings=chosen_settings(preset, features, max_image_size, max_features),
         seed=seed,
         threshold_px=threshold,
     )
@@ -100,10 +114,13 @@ def draw(
     *,
     out: Annotated[Path, typer.Option(help="Figure to write: .png or .jpg.", show_default=False)],
     estimator: Estimator = "epiprior",
-    preprocess: Preprocess = True,
+    mode: Mode = "preprocess",
     seed: Seed = 0,
     threshold: Threshold = None,
     preset: Preset = "default",
+    features: Detector = "sift",
+    max_image_size: MaxImageSize = None,
+    max_features: MaxFeatures = None,
     matches: Annotated[int, typer.Option(min=1, help="How many of the best matches.")] = 100,
 ) -> None:
     """Draw the best matches, coloured by probability, and the epipolar lines of some inliers.
@@ -116,23 +133,24 @@ def draw(
     from epiprior import estimate_fundamental, rank_matches, standard_matches
     from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
 
-    ranked = rank_matches(image1, image2, preset=preset) if preprocess else None
+    settings = chosen_settings(preset, features, max_image_size, max_features)
+    ranked = None if mode == "standard" else rank_matches(image1, image2, settings=settings)
     found = estimate_fundamental(
         image1,
         image2,
         estimator=estimator,
-        preprocess=preprocess,
-        preset=preset,
+        mode=mode,
+        settings=settings,
         seed=seed,
         threshold_px=threshold,
         ranked=ranked,
     )
-    if ranked is None:
-        shown = standard_matches(image1, image2)
+    if ranked is None or found.input != settings.name:
+        shown = standard_matches(image1, image2, features=replace(settings.features, root=False))
     else:
         shown = min(ranked.sets, key=lambda s: abs(math.remainder(s.roll_deg - found.roll_deg, 360)))
     write_picture(out, draw_matches(image1, image2, shown, found, settings=DrawSettings(max_matches=matches)))
-    typer.echo(f"{out}: {summary(found)}")
+    say(f"{out}: {summary(found)}")
     exit_by_status(found)
 
 
@@ -141,10 +159,13 @@ def colmap(
     *,
     database: Annotated[Path, typer.Option(help="COLMAP database to write; must not exist.", show_default=False)],
     estimator: Estimator = "epiprior",
-    mode: Mode = None,
+    mode: Mode = "preprocess",
     seed: Seed = 0,
     threshold: Threshold = None,
     preset: Preset = "default",
+    features: Detector = "sift",
+    max_image_size: MaxImageSize = None,
+    max_features: MaxFeatures = None,
 ) -> None:
     """Write a COLMAP database with the verified matches of all pairs of the photographs.
 
@@ -153,20 +174,43 @@ def colmap(
 
         epiprior colmap left.jpg right.jpg --database database.db
     """
-    from epiprior.io.colmap import ColmapPair, check_colmap_output, write_colmap_database
+    from epiprior.features.images import is_hidden_copy, load_photograph
+    from epiprior.io.colmap import ColmapPair, check_colmap_images, check_colmap_output, write_colmap_database
 
+    skipped = [image for image in images if is_hidden_copy(image.name)]
+    if skipped:
+        complain(f"left out {len(skipped)} files named ._*, which hold no image: {skipped[0]}")
+    images = [image for image in images if image not in skipped]
     if len(images) < 2:
         raise typer.BadParameter("give at least two photographs")
     check_colmap_output(database)
+    check_colmap_images(images)
+    settings = chosen_settings(preset, features, max_image_size, max_features)
     from epiprior import estimate_fundamental
+    from epiprior.estimators import find_estimator
+    from epiprior.features.detect import detect_features
 
-    pairs = []
-    for a, b in itertools.combinations(images, 2):
+    find_estimator(estimator)
+    photographs = [load_photograph(image, settings.features.max_image_size) for image in images]
+    _logger.info("finding features of %d images", len(images))
+    found_features = [detect_features(photograph, settings.features) for photograph in photographs]
+    pairs: list[ColmapPair] = []
+    numbers = list(itertools.combinations(range(len(images)), 2))
+    for a, b in numbers:
+        # A copy of a photograph has nothing described yet: what it remembers would grow with the number of pairs.
         found = estimate_fundamental(
-            a, b, estimator=estimator, mode=mode, preset=preset, seed=seed, threshold_px=threshold
+            replace(photographs[a]),
+            replace(photographs[b]),
+            features1=found_features[a],
+            features2=found_features[b],
+            estimator=estimator,
+            mode=mode,
+            settings=settings,
+            seed=seed,
+            threshold_px=threshold,
         )
-        typer.echo(f"{a} {b}: {summary(found)}")
-        pairs.append(ColmapPair(image1=a, image2=b, estimate=found))
+        pairs.append(ColmapPair(image1=images[a], image2=images[b], estimate=found))
+        say(f"{len(pairs)}/{len(numbers)} {images[a]} {images[b]}: {summary(found)}")
     write_colmap_database(database, pairs)
     if not any(pair.estimate for pair in pairs):
         exit_by_status(pairs[0].estimate)

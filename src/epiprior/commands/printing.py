@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +20,26 @@ def complain(text: str) -> None:
     typer.echo(f"epiprior: {' '.join(text.split())}", err=True)
 
 
+def say(text: str) -> None:
+    """Print on stdout; where its reader has closed it, say so once on stderr and let the work go on."""
+    try:
+        typer.echo(text)
+    except BrokenPipeError:
+        drop_stdout()
+        complain("the output was closed early; the work goes on without it")
+
+
+def drop_stdout() -> None:
+    """Discard what could not be written, so that the interpreter does not fail on it again when it ends."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError):
+        return
+
+
 def print_json(value: Any) -> None:
     """Print JSON, with null for every number that JSON does not have."""
-    typer.echo(json.dumps(_finite(value), indent=2, allow_nan=False))
+    say(json.dumps(_finite(value), indent=2, allow_nan=False))
 
 
 def _finite(value: Any) -> Any:
@@ -45,7 +64,10 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]], title: str
         table.add_column(name, overflow="fold")
     for row in rows:
         table.add_row(*map(escape, row))
-    Console().print(table)
+    console = Console()
+    with console.capture() as printed:
+        console.print(table)
+    say(printed.get().rstrip("\n"))
 
 
 def entries(value: Any, name: str = "") -> list[tuple[str, str]]:
@@ -70,12 +92,12 @@ def summary(found: FundamentalEstimate) -> str:
 
 def print_estimate(found: FundamentalEstimate) -> None:
     """Print an estimate for people."""
-    typer.echo(summary(found))
+    say(summary(found))
     if found.F is not None:
         for row in found.F.tolist():
-            typer.echo("  ".join(f"{value: .9e}" for value in row))
+            say("  ".join(f"{value: .9e}" for value in row))
     matches = f"{found.input} matches; " if found.input else ""
-    typer.echo(f"{matches}roll {found.roll_deg:.0f} deg; {found.version}; {sum(found.seconds.values()):.2f} s")
+    say(f"{matches}roll {found.roll_deg:.0f} deg; {found.version}; {sum(found.seconds.values()):.2f} s")
 
 
 def estimate_as_json(found: FundamentalEstimate, preset: str, seed: int) -> dict[str, Any]:

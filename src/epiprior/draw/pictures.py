@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from epiprior.draw.captions import INK, PAPER, Colour, Picture, draw_header, draw_label, probability_colours
 from epiprior.errors import FeatureError, ImageError, SettingsError
-from epiprior.features.detect import Image, read_image
+from epiprior.features.images import Image, read_image
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray, MatchSet
 
 # Eight hues that stay apart on a darkened photograph, also for the colour-blind (after Okabe and Ito).
@@ -75,7 +75,7 @@ class _Panel:
         return (points + 0.5) * self.factor - 0.5 + [self.left, self.top]
 
     def holds(self, points: FloatArray) -> NDArray[np.bool_]:
-        """Tell which points lie in the image as given; NaN does not."""
+        """Return which points lie in the image as given; NaN does not."""
         inside = (points >= -0.5) & (points <= np.array(self.size) - 0.5)
         return np.asarray(inside.all(axis=1))
 
@@ -93,7 +93,7 @@ def draw_matches(
     Parameters
     ----------
     image1, image2 : str, Path or ndarray
-        A file that OpenCV reads, or uint8 of shape (H, W) or (H, W, 3) RGB; of any sizes.
+        A file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA; of any sizes.
     matches : MatchSet
         Sorted best first; may be empty. Coloured by probability; where that is NaN (standard matches), by the
         distance ratio.
@@ -150,13 +150,13 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 def _read_rgb(image: Image) -> Picture:
     if isinstance(image, np.ndarray):
-        if image.dtype != np.uint8 or not image.size or image.shape[2:] not in ((), (3,)) or image.ndim < 2:
+        if image.dtype != np.uint8 or not image.size or image.shape[2:] not in ((), (3,), (4,)) or image.ndim < 2:
             raise ImageError(
                 f"the image array is {image.dtype} of shape {image.shape}, "
-                "expected uint8 of shape (H, W) or (H, W, 3) RGB, not empty"
+                "expected uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, not empty"
             )
-        return np.ascontiguousarray(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2))
-    return np.asarray(cv2.cvtColor(read_image(Path(image), cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        return np.ascontiguousarray(image[..., :3] if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2))
+    return np.asarray(cv2.cvtColor(read_image(image, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 def _lay_out(image1: Picture, image2: Picture, largest: int) -> tuple[tuple[_Panel, _Panel], tuple[int, int]]:

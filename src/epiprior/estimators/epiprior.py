@@ -6,18 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.estimators.epiprior_evidence import Evidence, match_weights, prior_probability
-from epiprior.estimators.epiprior_plane import plane_and_parallax
-from epiprior.estimators.epiprior_proposals import fit_samples, oriented_pairs, progressive_rows
-from epiprior.estimators.packages import package_version
-from epiprior.estimators.protocol import EstimatorSettings, RawModel
-from epiprior.geometry import MIN_MATCHES, sampson_distance
+from epiprior.estimators.evidence import Evidence, match_weights, prior_probability
+from epiprior.estimators.proposals import fit_samples, oriented_pairs, plane_and_parallax, progressive_rows
+from epiprior.estimators.protocol import EstimatorSettings, RawModel, package_version
+from epiprior.geometry import MIN_MATCHES, as_columns, sampson_distance
 from epiprior.kernels.compilation import announce_compilation
-from epiprior.kernels.epiprior_kernels import climb, refine_models
-from epiprior.kernels.samplers import generator_state
+from epiprior.kernels.local_steps import climb, refine_models
+from epiprior.kernels.samples import generator_state
 from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
-from epiprior.verification.plausibility import camera_plausibility
-from epiprior.verification.spread import spread_groups
+from epiprior.verification.measures import camera_plausibility, spread_groups
 
 # Thresholds in units of the inlier threshold: 1.5 px give 10, 8, 6, 4, 3, 2, 2, 1.5, 1.5.
 _SHRINKING = np.array([20 / 3, 16 / 3, 4.0, 8 / 3, 2.0, 4 / 3, 4 / 3, 1.0, 1.0])
@@ -25,7 +22,6 @@ _CLIMBING = np.array([2.0, 4 / 3, 1.0, 1.0])
 _COARSE, _FINE, _NEAR, _PLANE, _AROUND = 4.0, 4 / 3, 2.0, 8 / 3, 16 / 3
 _MIN_DISTANCE_PX = 30.0
 _STATE = 20141
-_NONE = np.empty((0, 3, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +50,7 @@ class EpipriorEstimator:
     Deterministic: the seed changes nothing.
 
     Every choice among refined hypotheses follows one score: what the matches say, each part of the images once
-    (`epiprior.estimators.epiprior_evidence`), times the plausibility of the cameras
-    (`epiprior.verification.plausibility`). Local
+    (`epiprior.estimators.evidence`), times the plausibility of the cameras (`epiprior.verification.measures`). Local
     optimisation of one hypothesis climbs its first factor alone.
     """
 
@@ -94,7 +89,9 @@ class EpipriorEstimator:
         found = search.refined(
             np.concatenate([search.likeliest(models, count) for models, count in zip(sources, kept, strict=True)])
         )
-        planar = np.concatenate([_NONE, *(self._mended(F, search) for F in search.best(found, self.mended))])
+        planar = np.concatenate(
+            [np.empty((0, 3, 3)), *(self._mended(F, search) for F in search.best(found, self.mended))]
+        )
         found = np.concatenate([found, search.refined(search.likeliest(planar, self.kept_other))])
         leaders = search.best(found, self.leaders, self.same_share)
         climbed = np.concatenate([leaders, search.optimised(leaders, self.inner_samples)])
@@ -104,7 +101,7 @@ class EpipriorEstimator:
 
     def _proposals(self, head: MatchSet, settings: EstimatorSettings) -> tuple[FloatArray, FloatArray, FloatArray]:
         samples = settings.max_iterations or self.max_iterations
-        drawn = fit_samples(head.x1, head.x2, progressive_rows(len(head), samples))
+        drawn = fit_samples(as_columns(head.x1, head.x2), progressive_rows(len(head), samples))
         return head.rough_matrices, oriented_pairs(head, self.oriented, _MIN_DISTANCE_PX), drawn
 
     def _mended(self, F: FloatArray, search: _Search) -> FloatArray:
@@ -165,7 +162,9 @@ class _Search:
     def refined(self, models: FloatArray) -> FloatArray:
         """Return the models after probability-weighted eight-point fits over shrinking thresholds."""
         models = np.ascontiguousarray(models).copy()
-        refine_models(models, self.head.x1, self.head.x2, self.prior[: len(self.head)], _SHRINKING * self.px)
+        refine_models(
+            models, as_columns(self.head.x1, self.head.x2), self.prior[: len(self.head)], _SHRINKING * self.px
+        )
         return models
 
     def optimised(self, models: FloatArray, samples: int) -> FloatArray:
@@ -174,9 +173,10 @@ class _Search:
         order = np.argsort(self.group, kind="stable")
         for F in models:
             rows = order[sampson_distance(F, self.single.x1, self.single.x2)[order] < _AROUND * self.px]
+            columns = as_columns(self.single.x1[rows], self.single.x2[rows])
             climb(
-                F, self.single.x1[rows], self.single.x2[rows], self.prior[rows], self.weights[rows], self.group[rows],
-                _FINE * self.px, _CLIMBING * self.px, _NEAR * self.px, samples, generator_state(_STATE),
+                F, columns, self.prior[rows], self.weights[rows], self.group[rows], _FINE * self.px,
+                _CLIMBING * self.px, _NEAR * self.px, samples, generator_state(_STATE),
             )  # fmt: skip
         return models
 

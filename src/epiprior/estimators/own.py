@@ -1,20 +1,95 @@
-"""What our own estimators have in common: a recipe for the loop, a prior, a cap on the samples."""
+"""Our own estimators of the compiled loop (`epiprior.kernels.loop`): each is a recipe, a prior and a cap.
+
+- ``guided-mlesac``, after Tordoff and Murray (TPAMI 2005, as we recall it): seven matches drawn by their probability v,
+  score sum log(v p_in(r) + (1 - v) / w). It needs calibrated probabilities.
+- ``beem``, BEEM-style, our interpretation of Goshen and Shimshoni (ECCV 2006; TPAMI 2008), of which only the abstract
+  was at hand: prior information; global exploration, local exploration near the best model and its exploitation in
+  balance; the best model guides the search, is left where it is degenerate, and tells when to stop; F from two SIFT
+  matches. How these are done is ours.
+- ``blogs``, BLOGS-style, our interpretation of Brahmachari and Sarkar (ICCV 2009; TPAMI 2013, Hop-Diffusion Monte
+  Carlo), of which only the abstracts were at hand: global proposals (hops) guided by the similarity of matches, local
+  ones (diffusion) by the joint feature distribution of the best model, probabilistic support, degenerate configurations
+  ruled out.
+- ``generalized-ransac``, after Zhang and Kosecka (3DPVT 2006), as the paper sums it up (section 2): many candidates per
+  feature, each at a low probability, guided RANSAC. Its input is `epiprior.generalized_matches`.
+
+Local optimisation and the oriented constraint are ours.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from epiprior.estimators.loop import Recipe, run_loop, search
-from epiprior.estimators.packages import package_version
-from epiprior.estimators.protocol import EstimatorSettings, RawModel
+import numpy as np
+
+from epiprior.estimators.protocol import EstimatorSettings, RawModel, package_version
+from epiprior.estimators.ratio_prior import inlier_probability, probability_or_ratio_prior
+from epiprior.geometry import as_columns
 from epiprior.kernels.compilation import announce_compilation
+from epiprior.kernels.loop import FROM_JOINT_DENSITY, FROM_SUPPORT, NO_LOCAL, run_loop
+from epiprior.kernels.samples import cumulated, generator_state
+from epiprior.kernels.scores import KERNEL, LIKELIHOOD, SUPPORT, attainable, cut_distance, likelihood_odds
 from epiprior.types import FloatArray, MatchSet
+
+_ORIENTED_SEPARATION_PX = 20.0
+_SEPARATION_PX = 2.0
+_SIGMAS_OF_THRESHOLD = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """What distinguishes one estimator of the loop from another.
+
+    Parameters
+    ----------
+    kind : int
+        `SUPPORT`, `LIKELIHOOD` or `KERNEL` of `epiprior.kernels.scores`.
+    weighted : bool
+        Whether a match counts by its probability in the score and in local optimisation. Where matches carry none, all
+        count alike: a prior from descriptors alone is too weak, measured on validation scenes. The likelihood always
+        knows the prior.
+    oriented : float
+        Share of two oriented matches among the global samples, in [0, 1]; the others are seven matches.
+    local : int
+        `NO_LOCAL`, `FROM_SUPPORT` or `FROM_JOINT_DENSITY`: whence local samples of seven are drawn.
+    local_share, local_growth : float
+        Share of local proposals once there is a model, ``local_share + local_growth * mass`` where mass is
+        the share of the prior that supports the best model: an estimate of its quality.
+    mixed_share : float
+        Of the local proposals, the share that joins supporters and non-supporters.
+    skip_planes : bool
+        Whether a sample of seven, six of which agree with one homography, is ruled out.
+    raw_factor : float
+        Hypotheses are compared at so many times the threshold before they are optimised, >= 1: rough ones
+        would look all alike at the threshold itself.
+    good_sample_share : float
+        Of the samples of right matches, how many give an F that local optimisation can mend; enters the
+        stopping rule.
+    min_iterations : int
+        Hypotheses drawn before the loop may stop.
+    repeats : int
+        Inner samples of local optimisation.
+    """
+
+    kind: int
+    weighted: bool = False
+    oriented: float = 0.0
+    local: int = NO_LOCAL
+    local_share: float = 0.0
+    local_growth: float = 0.0
+    mixed_share: float = 0.0
+    skip_planes: bool = False
+    raw_factor: float = 1.0
+    good_sample_share: float = 0.5
+    min_iterations: int = 200
+    repeats: int = 5
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopEstimator:
-    """An estimator that runs in the compiled loop (`epiprior.estimators.loop`).
+    """An estimator that runs in the compiled loop.
 
     Parameters
     ----------
@@ -25,13 +100,13 @@ class LoopEstimator:
     prior : callable
         Gives the weight of each match in sampling, shape (N,), in [0, 1].
     max_iterations : int
-        Cap on the samples drawn.
+        Cap on the samples drawn; a sample may give up to three hypotheses.
     """
 
     name: str
     recipe: Recipe
-    prior: Callable[[MatchSet], FloatArray]
-    max_iterations: int
+    prior: Callable[[MatchSet], FloatArray] = probability_or_ratio_prior
+    max_iterations: int = 5_000
     licence: str = "BSD-3-Clause"
 
     def missing(self) -> str:
@@ -43,7 +118,7 @@ class LoopEstimator:
         return package_version("epiprior")
 
     def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
-        """Run the loop; a sample may give up to three hypotheses, `iterations` counts samples."""
+        """Run the loop; `iterations` counts samples."""
         announce_compilation(run_loop, "our own estimators", "about twenty seconds")
         return search(
             matches,
@@ -54,3 +129,147 @@ class LoopEstimator:
             max_iterations=settings.max_iterations or self.max_iterations,
             seed=seed,
         )
+
+
+def search(
+    matches: MatchSet,
+    prior: FloatArray,
+    recipe: Recipe,
+    *,
+    threshold_px: float,
+    confidence: float,
+    max_iterations: int,
+    seed: int,
+) -> RawModel:
+    """Run the loop on distinct, finite matches; F is None if no hypothesis had any support.
+
+    Parameters
+    ----------
+    matches : MatchSet
+        Best first: the order does not enter the result's distribution, but the score bails out earlier.
+    prior : ndarray, shape (N,), float64
+        Weight of each match in sampling, >= 0; in [0, 1] where the recipe weighs scores by it.
+    recipe : Recipe
+        The estimator.
+    threshold_px : float
+        Inlier threshold; the standard deviation of an inlier's distance is taken to be half of it.
+    confidence, max_iterations, seed
+        As for an estimator.
+    """
+    conditioned = condition(matches)
+    sigma = threshold_px / conditioned.unit_px
+    if recipe.kind != SUPPORT:
+        sigma /= _SIGMAS_OF_THRESHOLD
+    prior = np.ascontiguousarray(prior, dtype=np.float64)
+    weighted = recipe.weighted and not np.isnan(matches.probability).any()
+    gain = prior if weighted or recipe.kind == LIKELIHOOD else np.ones(len(prior))
+    odds = gain
+    if recipe.kind == LIKELIHOOD:
+        extent = float(np.ptp(conditioned.columns[2]) + np.ptp(conditioned.columns[3])) / 2.0
+        odds = likelihood_odds(prior, sigma, max(extent, sigma))
+    separations = np.array([_SEPARATION_PX, _ORIENTED_SEPARATION_PX]) / conditioned.unit_px
+    rest = attainable(odds, recipe.kind)
+    F, value, iterations = run_loop(
+        conditioned.columns, conditioned.frames, prior, cumulated(prior), gain, odds, rest, rest,
+        recipe.kind, sigma, cut_distance(recipe.kind, sigma), recipe.raw_factor,
+        recipe.oriented, recipe.local, recipe.local_share, recipe.local_growth, recipe.mixed_share, recipe.skip_planes,
+        separations**2, recipe.good_sample_share, math.log1p(-confidence),
+        recipe.min_iterations, max_iterations, recipe.repeats, generator_state(seed),
+    )  # fmt: skip
+    return RawModel(F=conditioned.to_pixels(F) if value > 0 else None, iterations=int(iterations))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditioned:
+    """Matches as the compiled parts want them.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (4, N), float64
+        x and y in image 1, x and y in image 2, centred and divided by `unit_px`.
+    frames : ndarray, shape (4, N), float64
+        Scale in image 1 and 2 in units, orientation in image 1 and 2 in radians.
+    centre1, centre2 : ndarray, shape (2,), float64
+        What was subtracted, pixels.
+    unit_px : float
+        Pixels per unit, the same for both images.
+    """
+
+    columns: FloatArray
+    frames: FloatArray
+    centre1: FloatArray
+    centre2: FloatArray
+    unit_px: float
+
+    def to_pixels(self, F: FloatArray) -> FloatArray:
+        """Return F of conditioned coordinates as an F of pixels."""
+        T1, T2 = (np.array([[1, 0, -c[0]], [0, 1, -c[1]], [0, 0, self.unit_px]]) for c in (self.centre1, self.centre2))
+        pixels: FloatArray = T2.T @ F @ T1
+        return pixels
+
+
+def condition(matches: MatchSet) -> Conditioned:
+    """Centre the matches in both images and divide by one length, the mean spread of both, for the solvers."""
+    c1, c2 = matches.x1.mean(axis=0), matches.x2.mean(axis=0)
+    spread = ((matches.x1 - c1) ** 2).sum(axis=1).mean() + ((matches.x2 - c2) ** 2).sum(axis=1).mean()
+    unit = max(math.sqrt(float(spread) / 4.0), 1e-9)
+    columns = as_columns(matches.x1 - c1, matches.x2 - c2) / unit
+    frames = np.stack(
+        [
+            matches.scale1 / unit,
+            matches.scale2 / unit,
+            np.deg2rad(matches.orientation1_deg),
+            np.deg2rad(matches.orientation2_deg),
+        ]
+    )
+    return Conditioned(columns=columns, frames=frames, centre1=c1, centre2=c2, unit_px=unit)
+
+
+def similarity_prior(matches: MatchSet) -> FloatArray:
+    """Return the probabilities; without them the similarity weights t_k (section 4.1); else a prior from d_r."""
+    if not np.isnan(matches.probability).any():
+        return matches.probability
+    highest = float(matches.similarity_weight.max(initial=0.0))
+    return matches.similarity_weight / highest if highest > 0 else inlier_probability(matches.distance_ratio)
+
+
+ESTIMATORS = (
+    LoopEstimator(name="guided-mlesac", recipe=Recipe(kind=LIKELIHOOD)),
+    # Exploration: two oriented matches by their prior (a quarter of the samples: seven matches). Exploitation: local
+    # optimisation of every hypothesis that beats all those before it. Local exploration: seven supporters, or
+    # supporters joined with non-supporters, which leads off a plane; the larger the share of the prior that supports
+    # the best model, the more of it. Stops when the chance of a better sample, by the prior's mass on the best support,
+    # is small.
+    LoopEstimator(
+        name="beem",
+        recipe=Recipe(
+            kind=SUPPORT,
+            weighted=True,
+            oriented=0.75,
+            local=FROM_SUPPORT,
+            local_share=0.2,
+            local_growth=0.4,
+            mixed_share=0.5,
+            raw_factor=3.0,
+            good_sample_share=0.1,
+        ),
+    ),
+    # Hops and diffusion alternate at random, half and half. A fixed budget of samples, as we recall; the chain moves to
+    # what is better only. Samples six of which agree with one homography, compatible with F, are ruled out.
+    LoopEstimator(
+        name="blogs",
+        recipe=Recipe(
+            kind=KERNEL,
+            weighted=True,
+            local=FROM_JOINT_DENSITY,
+            local_share=0.5,
+            skip_planes=True,
+            min_iterations=2_000,
+        ),
+        prior=similarity_prior,
+        max_iterations=2_000,
+    ),
+    # Seven matches by their probability, no two at one point; support is the truncated quadratic (MSAC), in which a
+    # match counts by its probability: the candidates of a feature share one vote.
+    LoopEstimator(name="generalized-ransac", recipe=Recipe(kind=SUPPORT, weighted=True)),
+)

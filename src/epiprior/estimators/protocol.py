@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from importlib import metadata
 from typing import Protocol
 
 from epiprior.errors import SettingsError
@@ -71,26 +73,29 @@ class Estimator(Protocol):
     @property
     def name(self) -> str:
         """Name in the registry."""
-        ...
 
     @property
     def licence(self) -> str:
         """Licence of the backend."""
-        ...
 
     @property
     def max_iterations(self) -> int:
         """Cap on the hypotheses drawn where the settings give none."""
-        ...
 
     def missing(self) -> str:
         """Return what to install, or an empty string if the estimator can run."""
-        ...
 
     def version(self) -> str:
         """Return the backend's package and version."""
-        ...
 
     def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
         """Return the backend's F for at least 8 distinct matches; `seed` is in [0, 2**31 - 1)."""
-        ...
+
+
+@functools.cache  # parsing the metadata takes milliseconds, and every estimate carries a version
+def package_version(package: str) -> str:
+    """Return ``package version`` as installed, or `package` alone where it carries no metadata."""
+    try:
+        return f"{package} {metadata.version(package)}"
+    except metadata.PackageNotFoundError:
+        return package

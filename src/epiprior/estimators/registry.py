@@ -9,20 +9,14 @@ from numbers import Integral
 import numpy as np
 
 from epiprior.errors import EstimatorError, FeatureError, SettingsError
-from epiprior.estimators import beem, blogs, colmap, degensac, epiprior, generalized, guided_mlesac, opencv, poselib
+from epiprior.estimators import epiprior, opencv, optional, own
 from epiprior.estimators.protocol import SEED_LIMIT, Estimator, EstimatorSettings
-from epiprior.geometry import MIN_MATCHES, as_points, normalise_fundamental, sampson_distance
-from epiprior.matching.selection import first_of_equal
-from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
+from epiprior.geometry import MIN_MATCHES, as_points, first_of_equal, normalise_fundamental
+from epiprior.types import FloatArray, MatchSet, Status
 from epiprior.verification.chance import distinct_count
-from epiprior.verification.plausibility import known_plausibility
-from epiprior.verification.spread import spread_of
-from epiprior.verification.verdict import judge
 
 _REGISTRY: dict[str, Estimator] = {
-    estimator.name: estimator
-    for backend in (opencv, poselib, degensac, colmap, guided_mlesac, beem, blogs, generalized, epiprior)
-    for estimator in backend.ESTIMATORS
+    estimator.name: estimator for backend in (opencv, optional, own, epiprior) for estimator in backend.ESTIMATORS
 }
 
 
@@ -31,7 +25,7 @@ def names() -> tuple[str, ...]:
     return tuple(_REGISTRY)
 
 
-def estimators() -> dict[str, str]:
+def list_estimators() -> dict[str, str]:
     """Return, for each estimator, ``available`` or the command that installs what it needs."""
     return {name: estimator.missing() or "available" for name, estimator in _REGISTRY.items()}
 
@@ -60,18 +54,16 @@ def find_estimator(name: str) -> Estimator:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A checked but not yet judged answer.
+    """A checked but not yet verified answer.
 
     Parameters
     ----------
     F : ndarray, shape (3, 3), float64, or None
         Normalised; None where `status` is not ``ok``.
     status : Status
-        ``ok``, ``too_few_matches`` or ``no_model``.
-    message : str
-        Why not ``ok``.
+        ``ok``, ``too_few_matches`` or ``no_model``; `message` tells why.
     iterations : int or None
-        Where the backend tells.
+        Hypotheses drawn, where the backend tells.
     version : str
         The backend's package and version.
     seconds : float
@@ -115,78 +107,17 @@ def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSetti
         raise SettingsError(f"seed is {seed!r}, expected an integer, at least 0")
     distinct = _distinct(_checked(matches))
     start = time.perf_counter()
+    F, status, message, iterations = None, Status.OK, "", None
     count = distinct_count(distinct.x1, distinct.x2)
     if count < MIN_MATCHES:
-        message = f"{count} distinct matches, at least {MIN_MATCHES} are needed"
-        return _no_fit(estimator, Status.TOO_FEW_MATCHES, message, start)
-    raw = estimator.fit(distinct, seed=int(seed) % SEED_LIMIT, settings=settings or EstimatorSettings())
-    F = None if raw.F is None else normalise_fundamental(raw.F)
-    if F is None:
-        return _no_fit(
-            estimator,
-            Status.NO_MODEL,
-            "the estimator found no finite matrix of rank 2",
-            start,
-            raw.iterations,
-        )
+        status, message = Status.TOO_FEW_MATCHES, f"{count} distinct matches, at least {MIN_MATCHES} are needed"
+    else:
+        raw = estimator.fit(distinct, seed=int(seed) % SEED_LIMIT, settings=settings or EstimatorSettings())
+        F, iterations = None if raw.F is None else normalise_fundamental(raw.F), raw.iterations
+        if F is None:
+            status, message = Status.NO_MODEL, "the estimator found no finite matrix of rank 2"
     seconds = time.perf_counter() - start
-    version = estimator.version()
-    return Fit(F=F, status=Status.OK, message="", iterations=raw.iterations, version=version, seconds=seconds)
-
-
-def run(
-    name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None
-) -> FundamentalEstimate:
-    """Run one estimator on the matches as handed over.
-
-    Mask, support, rank and status are epiprior's own, whatever the backend says.
-
-    Parameters
-    ----------
-    name : str
-        Name in the registry, see `estimators`.
-    matches : MatchSet
-        Sorted best first.
-    seed : int
-        >= 0.
-    settings : EstimatorSettings, optional
-        Threshold, confidence, cap on the iterations.
-
-    Returns
-    -------
-    FundamentalEstimate
-        Over all of `matches`.
-
-    Raises
-    ------
-    EstimatorError, FeatureError, SettingsError
-        As `fit` does.
-    """
-    settings = settings or EstimatorSettings()
-    found = fit(name, matches, seed=seed, settings=settings)
-    status, message = found.status, found.message
-    if found.F is not None:
-        status, message = judge(found.F, matches.x1, matches.x2, settings.threshold_px)
-    F, inliers = None, np.zeros(len(matches), dtype=np.bool_)
-    if found.F is not None and status is Status.OK:
-        F, inliers = found.F, sampson_distance(found.F, matches.x1, matches.x2) < settings.threshold_px
-    return FundamentalEstimate(
-        status=status,
-        F=F,
-        raw_F=found.F,
-        x1=matches.x1,
-        x2=matches.x2,
-        inliers=inliers,
-        support=int(inliers.sum()),
-        iterations=found.iterations,
-        estimator=name,
-        version=found.version,
-        roll_deg=matches.roll_deg,
-        message=message,
-        seconds={"estimator": found.seconds},
-        spread=spread_of(matches.x1[inliers], matches.x2[inliers]),
-        plausibility=known_plausibility(found.F, matches.image_sizes),
-    )
+    return Fit(F=F, status=status, message=message, iterations=iterations, version=estimator.version(), seconds=seconds)
 
 
 def _checked(matches: MatchSet) -> MatchSet:
@@ -200,14 +131,3 @@ def _distinct(matches: MatchSet) -> MatchSet:
     """Return the first of every group of matches at identical points, in the order of the ranking."""
     first = first_of_equal(np.column_stack([matches.x1, matches.x2]))
     return matches if len(first) == len(matches) else matches.take(first)
-
-
-def _no_fit(estimator: Estimator, status: Status, message: str, start: float, iterations: int | None = None) -> Fit:
-    return Fit(
-        F=None,
-        status=status,
-        message=message,
-        iterations=iterations,
-        version=estimator.version(),
-        seconds=time.perf_counter() - start,
-    )

@@ -9,17 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from epiprior.errors import SettingsError
-from epiprior.estimators import EstimatorSettings, fit
-from epiprior.estimators.epiprior_evidence import spread_evidence
+from epiprior.estimators.evidence import spread_evidence
 from epiprior.estimators.handover import HandOver, hand_over
-from epiprior.estimators.registry import Fit
-from epiprior.geometry import normalise_fundamental, sampson_distance
-from epiprior.kernels.refine import refine_fundamental
+from epiprior.estimators.protocol import EstimatorSettings
+from epiprior.estimators.registry import Fit, fit
+from epiprior.geometry import normalise_fundamental, refine_fundamental, sampson_distance
 from epiprior.types import FloatArray, FundamentalEstimate, ImageSizes, MatchSet, Status
 from epiprior.verification.chance import chance_rate
-from epiprior.verification.plausibility import known_plausibility
-from epiprior.verification.spread import spread_of
-from epiprior.verification.verdict import judge
+from epiprior.verification.judge import judge
+from epiprior.verification.measures import known_plausibility, spread_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +72,7 @@ def estimate_from_matches(
     -----
     Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F
     decides, each weighted by its probability and each part of the images once, times the plausibility of the cameras
-    (`epiprior.estimators.epiprior_evidence`). A thousand improbable matches then weigh less than fifty good ones.
+    (`epiprior.estimators.evidence`). A thousand improbable matches then weigh less than fifty good ones.
     """
     if not sets:
         raise SettingsError("no set of matches was given")
@@ -83,7 +81,7 @@ def estimate_from_matches(
     scaled = [_scale(matches, 1 / pixel_factors[0], 1 / pixel_factors[1]) for matches in sets]
     tried = [_try(matches, estimator, seed, hand_over, options) for matches in scaled]
     best = max(tried, key=lambda hypothesis: hypothesis.score)
-    status, message = _verdict(tried, best, options.threshold_px)
+    status, message = _status(tried, best, options.threshold_px)
     collected, raw_F = best.collected, None if best.F is None else _to_given_pixels(best.F, pixel_factors)
     inliers = np.zeros(len(collected), dtype=np.bool_)
     if best.F is not None and status is Status.OK:
@@ -164,7 +162,7 @@ def _worth_having(F: FloatArray, matches: MatchSet, weights: FloatArray, thresho
     return matches.take(weights > rate * (1.0 - weights))
 
 
-def _verdict(tried: Sequence[_Hypothesis], best: _Hypothesis, threshold_px: float) -> tuple[Status, str]:
+def _status(tried: Sequence[_Hypothesis], best: _Hypothesis, threshold_px: float) -> tuple[Status, str]:
     """Judge F on what was handed over, and where that does not suffice, on what was collected."""
     if best.F is None:
         # An estimator that found nothing says more than one that was not even started.

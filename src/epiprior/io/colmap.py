@@ -14,10 +14,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import cv2
 import numpy as np
 
 from epiprior.errors import ImageError, OutputError
+from epiprior.features.images import read_image
 from epiprior.io.output import check_output, replacing
+from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray
 
 _HALF_PIXEL = 0.5
@@ -60,8 +63,7 @@ def write_colmap_database(
     OutputError
         If pycolmap is not installed, `path` exists or cannot be written, or a pair is there twice.
     ImageError
-        If an image is missing, lies outside `image_root`, or carries a rotation in its EXIF data: COLMAP,
-        which does not turn images, would see other coordinates.
+        As `check_colmap_images` does.
 
     Notes
     -----
@@ -74,7 +76,7 @@ def write_colmap_database(
     pairs = [replace(p, image1=_absolute(p.image1), image2=_absolute(p.image2)) for p in pairs]
     _check_pairs(path, pairs)
     images = sorted({image for pair in pairs for image in (pair.image1, pair.image2)})
-    names = _names(images, image_root)
+    names = check_colmap_images(images, image_root)
     keypoints, indices = _keypoints(images, pairs)
     with replacing(path) as partial:
         database = pycolmap.Database.open(partial)
@@ -116,31 +118,45 @@ def _check_pairs(path: Path, pairs: Sequence[ColmapPair]) -> None:
         seen.add(key)
 
 
-def _names(images: Sequence[Path], image_root: str | Path | None) -> dict[Path, str]:
-    """Return the images' names relative to their root, after checking that COLMAP will see them as we do."""
-    for image in images:
-        if not image.is_file():
-            raise ImageError(f"{image}: no such image file")
-        _check_upright(image)
+def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = None) -> dict[Path, str]:
+    """Return what COLMAP calls the images, by absolute path, after checking that it will see them as we do.
+
+    Parameters
+    ----------
+    images : sequence of Path
+        The files.
+    image_root : str or Path, optional
+        The folder that names are relative to; by default the deepest one that holds all images.
+
+    Raises
+    ------
+    ImageError
+        If an image is missing, no image, given twice, outside `image_root`, turned by its EXIF data (COLMAP, which does
+        not turn images, would see other coordinates), or has a name that is not UTF-8, which a database cannot hold.
+    """
+    paths = [_absolute(image) for image in images]
     if image_root is not None:
         root = _absolute(Path(image_root))
     else:
-        root = Path(os.path.commonpath([image.parent for image in images])) if images else Path()
-    for image in images:
-        if not image.is_relative_to(root):
-            raise ImageError(f"{image}: lies outside the image folder {root}")
-    return {image: image.relative_to(root).as_posix() for image in images}
-
-
-def _check_upright(image: Path) -> None:
-    import cv2
-
-    turned = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
-    stored = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if turned is None or stored is None:
-        raise ImageError(f"{image}: not an image that OpenCV can read")
-    if not np.array_equal(turned, stored):
-        raise ImageError(f"{image}: is turned by its EXIF orientation, which COLMAP ignores; save it upright first")
+        root = Path(os.path.commonpath([path.parent for path in paths])) if paths else Path()
+    names: dict[Path, str] = {}
+    for path in paths:
+        if path in names:
+            raise ImageError(f"{path}: is given twice")
+        if not path.is_relative_to(root):
+            raise ImageError(f"{path}: lies outside the image folder {root}")
+        names[path] = path.relative_to(root).as_posix()
+        try:
+            names[path].encode()
+        except UnicodeEncodeError as error:
+            raise ImageError(f"{path}: its name is not UTF-8, a COLMAP database cannot hold it: rename it") from error
+        # An eighth of the size suffices: what is turned has other sides or other pixels.
+        upright = [
+            read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8 | turn) for turn in (0, cv2.IMREAD_IGNORE_ORIENTATION)
+        ]
+        if not np.array_equal(*upright):
+            raise ImageError(f"{path}: is turned by its EXIF orientation, which COLMAP ignores; save it upright first")
+    return names
 
 
 def _keypoints(
@@ -187,8 +203,6 @@ def _write_pair(
     ids: tuple[int, int],
     indices: tuple[IntArray, IntArray],
 ) -> None:
-    from epiprior.matching.selection import one_to_one_mask
-
     index1, index2 = indices
     order = np.argsort(~estimate.inliers, kind="stable")
     order = order[one_to_one_mask(index1[order], index2[order])]

@@ -23,6 +23,7 @@ _HALF_PIXEL = 0.5
 _HLOC_FRAMES = ("scales", "oris")
 _HLOC_PARTS = ("keypoints", "descriptors", "image_size", *_HLOC_FRAMES)
 _COLMAP_TABLES = frozenset({"cameras", "images", "keypoints", "descriptors"})
+_ENTRY_BYTES = {"keypoints": 4, "descriptors": 1}
 
 
 def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 1) -> Features:
@@ -36,7 +37,7 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
         Name of the image in the database: its path relative to COLMAP's image folder.
     roots : int
         How many times the root was taken of the entries of the stored descriptors, >= 0: 1 for COLMAP's default
-        normalisation ``L1_ROOT``, 0 for ``L2``. The database does not tell.
+        normalisation ``L1_ROOT``, 0 for ``L2``. The database does not say which.
 
     Returns
     -------
@@ -63,8 +64,8 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
         import pycolmap
     except ImportError as error:
         raise FeatureError(f"{database}: a COLMAP database needs pycolmap: pip install 'pycolmap>=4,<5'") from error
-    _check_is_colmap(database)
     where = f"{database}: image {image_name!r}"
+    _check_is_colmap(database, image_name)
     try:
         with closing(pycolmap.Database.open(database)) as opened:
             image = opened.read_image_with_name(image_name)
@@ -167,17 +168,28 @@ def _check_is_file(path: Path) -> None:
         raise FeatureError(f"{path}: is a folder, not a file" if path.is_dir() else f"{path}: no such file")
 
 
-def _check_is_colmap(database: Path) -> None:
-    """Raise FeatureError unless COLMAP's tables are there: pycolmap would add them to any other database."""
+def _check_is_colmap(database: Path, image_name: str) -> None:
+    """Raise FeatureError unless COLMAP's tables are there, and the image's numbers fill the rows they are said to have.
+
+    Pycolmap would add the tables to any other database.
+    """
     _check_is_file(database)
     try:
         with closing(sqlite3.connect(f"{database.resolve().as_uri()}?mode=ro", uri=True)) as opened:
             tables = {name for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+            missing = sorted(_COLMAP_TABLES - tables)
+            if missing:
+                raise FeatureError(f"{database}: not a COLMAP database: no table {', '.join(missing)}")
+            for table, width in _ENTRY_BYTES.items():
+                query = f"SELECT rows, cols, length(data) FROM {table} NATURAL JOIN images WHERE name = ?"
+                for rows, columns, size in opened.execute(query, (image_name,)):
+                    if rows * columns * width != (size or 0):
+                        raise FeatureError(
+                            f"{database}: image {image_name!r}: its {table} hold {size or 0} bytes, expected "
+                            f"{rows * columns * width}: {rows} rows of {columns}, {width} bytes each"
+                        )
     except sqlite3.Error as error:
         raise FeatureError(f"{database}: not a COLMAP database: {error}") from error
-    missing = sorted(_COLMAP_TABLES - tables)
-    if missing:
-        raise FeatureError(f"{database}: not a COLMAP database: no table {', '.join(missing)}")
 
 
 def _check_numbers(where: str, data: dict[str, NDArray[Any]]) -> None:

@@ -1,12 +1,51 @@
-"""Tell the user when kernels have to be compiled: once per machine and version, since numba keeps them on disk."""
+"""How kernels are compiled: on one thread, kept on disk where that can be, announced where it takes a while."""
 
 from __future__ import annotations
 
+import functools
 import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numba
+
 logger = logging.getLogger(__name__)
+
+_asked: set[Any] = set()
+
+
+def compiled(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
+    """Compile a function at its first call: ``numba.njit`` without Python's lock, and with a cache on disk.
+
+    Where neither the folder of the module nor the user's cache can be written, numba has no place for its cache: the
+    kernels are then compiled anew in every process, and a warning says so once.
+
+    Parameters
+    ----------
+    function : callable, optional
+        Left out where the decorator has options.
+    **options
+        Of ``numba.njit``.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        kernel = numba.njit(nogil=True, **options)(function)
+        try:
+            kernel.enable_caching()
+        except (RuntimeError, OSError):  # numba: no locator available
+            _warn_of_no_cache()
+        return kernel
+
+    return decorate if function is None else decorate(function)
+
+
+@functools.cache  # once per process
+def _warn_of_no_cache() -> None:
+    logger.warning(
+        "no folder for compiled kernels can be written: they are compiled anew in every process; "
+        "set NUMBA_CACHE_DIR to a folder that can"
+    )
 
 
 def announce_compilation(kernel: Any, of: str, wait: str) -> None:
@@ -33,6 +72,3 @@ def announce_compilation(kernel: Any, of: str, wait: str) -> None:
         cached = False
     if not cached:
         logger.info("compiling kernels of %s: the first call on this machine takes %s", of, wait)
-
-
-_asked: set[Any] = set()

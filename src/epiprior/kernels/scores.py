@@ -1,6 +1,6 @@
-"""Compiled scores of hypotheses over all matches, with early bail-out.
+"""Compiled scores of hypotheses over all matches: one by one in the loop, many at once for ``epiprior``.
 
-Three scores of one form: every match within a limit of F adds a value between 0 and its `gain`.
+The loop has three scores of one form: every match within a limit of F adds a value between 0 and its `gain`.
 
 - `SUPPORT` (MSAC): ``gain (1 - r^2 / t^2)``; the truncated quadratic, weighted where gains are not one.
 - `LIKELIHOOD` (Guided-MLESAC): ``log(1 + odds exp(-r^2 / 2 sigma^2))``. This is the log likelihood of the mixture
@@ -19,35 +19,18 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+from numpy.typing import NDArray
 
-from epiprior.types import FloatArray
+from epiprior.kernels.compilation import compiled
+from epiprior.kernels.sampson import residual, residuals
 
 SUPPORT, LIKELIHOOD, KERNEL = 0, 1, 2
 BLOCK = 128
 _CUT_SIGMAS = 3.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def residual_parts(F, columns, first, last, error_sq, gradient_sq):  # type: ignore[no-untyped-def]
-    """Write the squared algebraic error and the squared gradient of the matches first..last; r^2 is their ratio."""
-    x, y, u, v = columns[0, first:last], columns[1, first:last], columns[2, first:last], columns[3, first:last]
-    f0, f1, f2 = F[0, 0], F[0, 1], F[0, 2]
-    f3, f4, f5 = F[1, 0], F[1, 1], F[1, 2]
-    f6, f7, f8 = F[2, 0], F[2, 1], F[2, 2]
-    for i in range(len(x)):
-        l0 = f0 * x[i] + f1 * y[i] + f2
-        l1 = f3 * x[i] + f4 * y[i] + f5
-        l2 = f6 * x[i] + f7 * y[i] + f8
-        r0 = f0 * u[i] + f3 * v[i] + f6
-        r1 = f1 * u[i] + f4 * v[i] + f7
-        e = u[i] * l0 + v[i] * l1 + l2
-        error_sq[i] = e * e
-        gradient_sq[i] = l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1
-
-
-@numba.njit(cache=True, nogil=True)
+@compiled
 def score(F, columns, gain, rest, kind, sigma, limit, floor, work):  # type: ignore[no-untyped-def]
     """Return the score of `F`, or some number <= `floor` where the score is not above it.
 
@@ -63,7 +46,7 @@ def score(F, columns, gain, rest, kind, sigma, limit, floor, work):  # type: ign
             return floor
         first = block * BLOCK
         last = min(first + BLOCK, n)
-        residual_parts(F, columns, first, last, work[0], work[1])
+        residuals(F, columns, first, last, work[0], work[1])
         for i in range(last - first):
             if work[0, i] < limit_sq * work[1, i]:
                 q = factor * work[0, i] / work[1, i]
@@ -76,16 +59,50 @@ def score(F, columns, gain, rest, kind, sigma, limit, floor, work):  # type: ign
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-def squared_residuals(F, columns, out):  # type: ignore[no-untyped-def]
-    """Write the squared Sampson distances of all matches to `out`; inf where they are undefined."""
-    gradient_sq = np.empty(len(out))
-    residual_parts(F, columns, 0, len(out), out, gradient_sq)
-    for i in range(len(out)):
-        out[i] = out[i] / gradient_sq[i] if gradient_sq[i] > 0.0 else np.inf
+@compiled(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def score_models(F, columns, weights, group, limit_sq, scores):  # type: ignore[no-untyped-def]
+    """Add up, per model, what the matches say for it; `scores` (K,) is written.
+
+    `F` is (9, K); matches are sorted by `group`, and of each group the best counts: w (1 - r^2 / limit_sq). A match for
+    whose points `F` has no epipolar lines says nothing; nor does any match for a model of zeros.
+    """
+    n = columns.shape[1]
+    one, none = np.float32(1), np.float32(0)
+    best = np.empty(BLOCK, np.float32)
+    for start in range(0, F.shape[1], BLOCK):
+        count = min(BLOCK, F.shape[1] - start)
+        G = F[:, start : start + count]
+        total = scores[start : start + count]
+        for k in range(count):
+            best[k] = total[k] = none
+        for m in range(n):
+            x, y, u, v, w = columns[0, m], columns[1, m], columns[2, m], columns[3, m], weights[m]
+            for k in range(count):
+                e, gradient_sq = residual(
+                    G[0, k], G[1, k], G[2, k], G[3, k], G[4, k], G[5, k], G[6, k], G[7, k], G[8, k], x, y, u, v
+                )
+                square = e * e / gradient_sq
+                value = w * (one - square / limit_sq)
+                best[k] = value if value > best[k] else best[k]
+            if m == n - 1 or group[m + 1] != group[m]:
+                for k in range(count):
+                    total[k] += best[k]
+                    best[k] = none
 
 
-def attainable(gain: FloatArray, kind: int) -> FloatArray:
+@compiled
+def score_of_groups(squares, weights, group, limit_sq):  # type: ignore[no-untyped-def]
+    """Return what `score_models` returns for one model, from its squared distances."""
+    total = best = 0.0
+    for m in range(len(squares)):
+        best = max(best, weights[m] * (1.0 - squares[m] / limit_sq))
+        if m == len(squares) - 1 or group[m + 1] != group[m]:
+            total += best
+            best = 0.0
+    return total
+
+
+def attainable(gain: NDArray[np.float64], kind: int) -> NDArray[np.float64]:
     """Return what all blocks from each on can add at most: shape (blocks + 1,), the last entry 0."""
     highest = np.log1p(gain) if kind == LIKELIHOOD else gain
     sums = np.add.reduceat(highest, np.arange(0, len(gain), BLOCK)) if len(gain) else np.zeros(0)
@@ -93,7 +110,7 @@ def attainable(gain: FloatArray, kind: int) -> FloatArray:
     return np.concatenate([np.cumsum(sums[::-1])[::-1] * (1 + 1e-9), [0.0]])
 
 
-def likelihood_odds(validity: FloatArray, sigma: float, width: float) -> FloatArray:
+def likelihood_odds(validity: NDArray[np.float64], sigma: float, width: float) -> NDArray[np.float64]:
     """Return the odds of `LIKELIHOOD`: of an inlier at distance 0 against an outlier somewhere in `width`.
 
     Parameters
@@ -106,7 +123,7 @@ def likelihood_odds(validity: FloatArray, sigma: float, width: float) -> FloatAr
         Range w over which outliers are spread evenly, in the unit of `sigma`.
     """
     v = np.clip(validity, 0.001, 0.999)
-    odds: FloatArray = v / (1 - v) * width * math.sqrt(2 / math.pi) / sigma
+    odds: NDArray[np.float64] = v / (1 - v) * width * math.sqrt(2 / math.pi) / sigma
     return odds
 
 

@@ -1,7 +1,6 @@
-"""Compiled solvers for F: seven points, eight points, two oriented matches, many weighted matches.
+"""Compiled solvers for F: seven points, weighted matches, two oriented matches.
 
-Matches are columns of an array of shape (4, N), conditioned: centred in each image and divided by one length
-common to both, so that Sampson distances keep their meaning. F acts on these coordinates.
+Matches are columns of an array of shape (4, N); F acts on their coordinates.
 
 References: Hartley and Zisserman, Multiple View Geometry, 2nd ed., 11.1.
 """
@@ -10,20 +9,22 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-from epiprior.kernels.small_algebra import (
+from epiprior.kernels.algebra import (
+    copy_matrix,
     det3,
     make_rank_two,
     mixed_det3,
     null_space,
     real_roots,
     scale_to_unit,
+    smallest_vector,
 )
+from epiprior.kernels.compilation import compiled
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def fill_row(row, x, y, u, v):  # type: ignore[no-untyped-def]
     """Write the coefficients of ``x2' F x1`` for F read row by row."""
     row[0], row[1], row[2] = u * x, u * y, u
@@ -31,7 +32,7 @@ def fill_row(row, x, y, u, v):  # type: ignore[no-untyped-def]
     row[6], row[7], row[8] = x, y, 1.0
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def seven_point(columns, sample, models):  # type: ignore[no-untyped-def]
     """Write up to three F of rank 2 through seven matches to `models`, shape (3, 3, 3); return how many."""
     A = np.empty((7, 9))
@@ -53,65 +54,77 @@ def seven_point(columns, sample, models):  # type: ignore[no-untyped-def]
     return found
 
 
-@numba.njit(cache=True, nogil=True)
-def conditioning(points, weights, shift):  # type: ignore[no-untyped-def]
-    """Write the weighted centres of both images to `shift`, shape (4,); return both scaling factors (Hartley)."""
-    total = 0.0
-    shift[:] = 0.0
-    for i in range(points.shape[1]):
-        if weights[i] > 0.0:
-            total += weights[i]
-            for k in range(4):
-                shift[k] += weights[i] * points[k, i]
-    for k in range(4):
-        shift[k] /= total
-    spread1, spread2 = 0.0, 0.0
-    for i in range(points.shape[1]):
-        if weights[i] > 0.0:
-            spread1 += weights[i] * ((points[0, i] - shift[0]) ** 2 + (points[1, i] - shift[1]) ** 2)
-            spread2 += weights[i] * ((points[2, i] - shift[2]) ** 2 + (points[3, i] - shift[3]) ** 2)
-    return math.sqrt(2.0 * total / max(spread1, 1e-18)), math.sqrt(2.0 * total / max(spread2, 1e-18))
+@compiled
+def weighted_eight_point(columns, w, F):  # type: ignore[no-untyped-def]  # noqa: PLR0912
+    """Write the normalised, weighted eight-point estimate to `F` (3, 3); False where the points decide nothing.
 
-
-@numba.njit(cache=True, nogil=True)
-def undo_conditioning(G, shift, factor1, factor2, F):  # type: ignore[no-untyped-def]
-    """Write ``T2' G T1`` to `F`, where T shifts by -shift and then scales."""
-    H = np.empty((3, 3))
+    Each image is centred and scaled by the weighted matches (Hartley and Zisserman, algorithm 11.1).
+    """
+    x, y, u, v = columns[0], columns[1], columns[2], columns[3]
+    total = a = b = c = d = 0.0
+    count = 0
+    for m in range(len(w)):
+        if w[m] > 0.0:
+            count += 1
+            total += w[m]
+            a += w[m] * x[m]
+            b += w[m] * y[m]
+            c += w[m] * u[m]
+            d += w[m] * v[m]
+    if count < 8:
+        return False
+    a, b, c, d = a / total, b / total, c / total, d / total
+    spread1 = spread2 = 0.0
+    for m in range(len(w)):
+        if w[m] > 0.0:
+            spread1 += w[m] * ((x[m] - a) ** 2 + (y[m] - b) ** 2)
+            spread2 += w[m] * ((u[m] - c) ** 2 + (v[m] - d) ** 2)
+    if not spread1 > 1e-12 * total or not spread2 > 1e-12 * total:
+        return False
+    f1, f2 = np.sqrt(2.0 * total / spread1), np.sqrt(2.0 * total / spread2)
+    A = np.zeros((9, 9))
+    row = np.empty(9)
+    for m in range(len(w)):
+        if w[m] > 0.0:
+            fill_row(row, (x[m] - a) * f1, (y[m] - b) * f1, (u[m] - c) * f2, (v[m] - d) * f2)
+            for i in range(9):
+                scaled = w[m] * row[i]
+                for j in range(i + 1):
+                    A[i, j] += scaled * row[j]
+    flat = np.array([0.31, -0.22, 0.17, 0.41, 0.13, -0.37, 0.29, 0.47, 0.43])
+    smallest_vector(A, flat)
+    f = flat.reshape(3, 3)
+    make_rank_two(f)
+    # F = T2' f T1 with T = [[s, 0, -s cx], [0, s, -s cy], [0, 0, 1]].
     for i in range(3):
-        H[i, 0] = G[i, 0] * factor1
-        H[i, 1] = G[i, 1] * factor1
-        H[i, 2] = G[i, 2] - factor1 * (G[i, 0] * shift[0] + G[i, 1] * shift[1])
+        f[i, 2] -= f1 * (f[i, 0] * a + f[i, 1] * b)
+        f[i, 0] *= f1
+        f[i, 1] *= f1
     for j in range(3):
-        F[0, j] = H[0, j] * factor2
-        F[1, j] = H[1, j] * factor2
-        F[2, j] = H[2, j] - factor2 * (H[0, j] * shift[2] + H[1, j] * shift[3])
-
-
-@numba.njit(cache=True, nogil=True)
-def eight_point_exact(points, F):  # type: ignore[no-untyped-def]
-    """Write the normalised eight-point F of `points`, shape (4, 8), at rank 2; return whether there is one."""
-    A = np.empty((8, 9))
-    basis = np.empty((1, 9))
-    shift = np.empty(4)
-    f1, f2 = conditioning(points, np.ones(8), shift)
-    for i in range(8):
-        fill_row(
-            A[i],
-            (points[0, i] - shift[0]) * f1,
-            (points[1, i] - shift[1]) * f1,
-            (points[2, i] - shift[2]) * f2,
-            (points[3, i] - shift[3]) * f2,
-        )
-    if not null_space(A, 8, basis):
+        f[2, j] -= f2 * (f[0, j] * c + f[1, j] * d)
+        f[0, j] *= f2
+        f[1, j] *= f2
+    if not scale_to_unit(f):
         return False
-    G = basis.reshape(3, 3)
-    if not make_rank_two(G):
-        return False
-    undo_conditioning(G, shift, f1, f2, F)
-    return scale_to_unit(F)
+    copy_matrix(f, F)
+    return True
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
+def fit_samples(columns, rows):  # type: ignore[no-untyped-def]
+    """Return the eight-point F of each row of `rows` (S, K) into the matches; zero where they decide nothing."""
+    models = np.zeros((len(rows), 3, 3))
+    size = rows.shape[1]
+    points, ones = np.empty((4, size)), np.ones(size)
+    for s in range(len(rows)):
+        for k in range(size):
+            for side in range(4):
+                points[side, k] = columns[side, rows[s, k]]
+        weighted_eight_point(points, ones, models[s])
+    return models
+
+
+@compiled
 def two_oriented(columns, frames, i, j, radius, F):  # type: ignore[no-untyped-def]
     """Write the F of two oriented matches: each gives its location and three points around it (2-SIFT, BEEM-style).
 
@@ -130,42 +143,4 @@ def two_oriented(columns, frames, i, j, radius, F):  # type: ignore[no-untyped-d
                     x += radius * frames[side, m] * math.cos(angle)
                     y += radius * frames[side, m] * math.sin(angle)
                 points[2 * side, q], points[2 * side + 1, q] = x, y
-    return eight_point_exact(points, F)
-
-
-@numba.njit(cache=True, nogil=True)
-def weighted_eight_point(columns, weights, F):  # type: ignore[no-untyped-def]
-    """Write the normalised weighted eight-point F at rank 2; return False below eight matches of positive weight."""
-    count = 0
-    for w in weights:
-        count += w > 0.0
-    if count < 8:
-        return False
-    shift = np.empty(4)
-    f1, f2 = conditioning(columns, weights, shift)
-    row = np.empty(9)
-    M = np.zeros((9, 9))
-    for i in range(columns.shape[1]):
-        w = weights[i]
-        if w > 0.0:
-            fill_row(
-                row,
-                (columns[0, i] - shift[0]) * f1,
-                (columns[1, i] - shift[1]) * f1,
-                (columns[2, i] - shift[2]) * f2,
-                (columns[3, i] - shift[3]) * f2,
-            )
-            for a in range(9):
-                for b in range(a + 1):
-                    M[a, b] += w * row[a] * row[b]
-    for a in range(9):
-        for b in range(a):
-            M[b, a] = M[a, b]
-    if not np.isfinite(M.sum()):
-        return False
-    _, vectors = np.linalg.eigh(M)
-    G = np.ascontiguousarray(vectors[:, 0]).reshape(3, 3)
-    if not make_rank_two(G):
-        return False
-    undo_conditioning(G, shift, f1, f2, F)
-    return scale_to_unit(F)
+    return weighted_eight_point(points, np.ones(8), F)

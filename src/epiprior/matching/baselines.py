@@ -1,7 +1,4 @@
-"""The inputs that estimators get without us.
-
-X_L as in the paper, the strongest simple pipeline of today, and the many candidates of generalised RANSAC.
-"""
+"""Inputs of estimators that are not ranked: X_L, mutual nearest neighbours, candidates of generalised RANSAC."""
 
 from __future__ import annotations
 
@@ -10,29 +7,20 @@ from dataclasses import replace
 import numpy as np
 
 from epiprior.errors import SettingsError
-from epiprior.features.detect import FeatureSettings, View
+from epiprior.features.images import View
 from epiprior.matching.pair import PreparedPair, prepare_pair
 from epiprior.matching.standard import mutual_mask, similarity_weights
-from epiprior.presets import DEFAULT, PreprocessSettings, find_preset
+from epiprior.presets import DEFAULT, PAPER, FeatureSettings, PreprocessSettings
 from epiprior.types import Features, Float32Array, FloatArray, IntArray, MatchSet
 
 _BLOCK = 512
 
 
-def standard_set(prepared: PreparedPair, settings: PreprocessSettings = DEFAULT) -> MatchSet:
-    """Return X_L as a `MatchSet`, ordered by distance ratio."""
-    forward = prepared.forward
-    ratio = forward.distance_ratio
-    keep = np.flatnonzero((forward.nearest >= 0) & (ratio <= settings.max_distance_ratio))
-    return _nearest_set(prepared, keep[np.argsort(ratio[keep], kind="stable")])
-
-
-def _nearest_set(prepared: PreparedPair, rows: IntArray) -> MatchSet:
-    """Return the features `rows` of image 1 with their nearest neighbours, in that order."""
+def _unranked(prepared: PreparedPair, rows: IntArray, to: IntArray, similarity: FloatArray) -> MatchSet:
+    """Return matches of the features `rows` of image 1 with `to` of image 2, in that order, without probabilities."""
     f1, f2 = prepared.features
-    forward = prepared.forward
-    to = forward.nearest[rows]
-    n = len(rows)
+    nearest = prepared.forward.nearest[rows] == to
+    weights = similarity_weights(prepared.forward, prepared.backward)
     return MatchSet(
         x1=f1.xy[rows],
         x2=f2.xy[to],
@@ -42,47 +30,51 @@ def _nearest_set(prepared: PreparedPair, rows: IntArray) -> MatchSet:
         orientation2_deg=f2.orientation_deg[to],
         feature1=prepared.locations[0].first_twin(rows),
         feature2=prepared.locations[1].first_twin(to),
-        probability=np.full(n, np.nan),
-        supporting_matrices=np.zeros(n, np.int64),
-        distance_ratio=forward.distance_ratio[rows],
-        similarity_weight=similarity_weights(forward, prepared.backward)[rows],
-        similarity=forward.best[rows].astype(np.float64),
-        two_keypoint_probability=np.zeros(n),
+        probability=np.full(len(rows), np.nan),
+        supporting_matrices=np.zeros(len(rows), np.int64),
+        distance_ratio=np.where(nearest, prepared.forward.distance_ratio[rows], 1.0),
+        similarity_weight=np.where(nearest, weights[rows], 0.0),
+        similarity=similarity,
+        two_keypoint_probability=np.zeros(len(rows)),
         image_sizes=(f1.image_size, f2.image_size),
     )
+
+
+def _nearest(prepared: PreparedPair, rows: IntArray) -> MatchSet:
+    forward = prepared.forward
+    return _unranked(prepared, rows, forward.nearest[rows], forward.best[rows].astype(np.float64))
+
+
+def standard_set(prepared: PreparedPair, settings: PreprocessSettings = DEFAULT) -> MatchSet:
+    """Return X_L as a `MatchSet`, ordered by distance ratio."""
+    ratio = prepared.forward.distance_ratio
+    keep = np.flatnonzero((prepared.forward.nearest >= 0) & (ratio <= settings.max_distance_ratio))
+    return _nearest(prepared, keep[np.argsort(ratio[keep], kind="stable")])
 
 
 def standard_matches(
     image1: View | None,
     image2: View | None,
     *,
-    features: FeatureSettings | None = None,
-    max_distance_ratio: float = 0.9,
+    features: FeatureSettings = PAPER.features,
+    max_distance_ratio: float = PAPER.max_distance_ratio,
     features1: Features | None = None,
     features2: Features | None = None,
 ) -> MatchSet:
-    """Return X_L, the standard putative matches of the paper, ordered by distance ratio: the baseline.
+    """Return X_L, the standard matches of the paper, ordered by distance ratio: the baseline (section 4.1).
 
     Parameters
     ----------
     image1, image2 : path, ndarray, Photograph or None
         The photographs; None only where features are handed in.
-    features : FeatureSettings, optional
+    features : FeatureSettings
         The paper's by default: plain SIFT, normalised cross-correlation.
     max_distance_ratio : float
         Matches with a higher d_r are left out.
     features1, features2 : Features, optional
-        Used instead of detected ones; `features` then says how descriptors are normalised.
-
-    References
-    ----------
-    Paper, section 4.1.
+        Used instead of detected ones, descriptors as SIFT gives them; `features` says how they are normalised.
     """
-    settings = replace(
-        find_preset("paper"),
-        features=features or find_preset("paper").features,
-        max_distance_ratio=max_distance_ratio,
-    )
+    settings = replace(PAPER, features=features, max_distance_ratio=max_distance_ratio)
     return standard_set(prepare_pair(image1, image2, settings, features1=features1, features2=features2), settings)
 
 
@@ -98,13 +90,11 @@ def snn_matches(
 
     Parameters
     ----------
-    image1, image2 : path, ndarray, Photograph or None
-        The photographs; None only where features are handed in.
+    image1, image2, features1, features2
+        As for `standard_matches`.
     max_distance_ratio : float
         Matches below it are kept. The ratio is of Euclidean distances of the descriptors, as users of this baseline
         compute it.
-    features1, features2 : Features, optional
-        Used instead of detected ones; descriptors as SIFT gives them, which are made RootSIFT here.
     """
     settings = replace(DEFAULT, features=FeatureSettings(root=True, centred=False))
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
@@ -113,7 +103,7 @@ def snn_matches(
     ratio = np.divide(distance, distance2, out=np.ones_like(distance), where=distance2 > 0)
     keep = np.flatnonzero(mutual_mask(forward, prepared.backward) & (ratio < max_distance_ratio))
     rows = keep[np.argsort(ratio[keep], kind="stable")]
-    return replace(_nearest_set(prepared, rows), distance_ratio=ratio[rows])
+    return replace(_nearest(prepared, rows), distance_ratio=ratio[rows])
 
 
 def generalized_matches(
@@ -123,7 +113,7 @@ def generalized_matches(
     ncc_threshold: float = 0.85,
     max_candidates: int = 5,
     right_share: float = 0.5,
-    features: FeatureSettings | None = None,
+    features: FeatureSettings = PAPER.features,
     features1: Features | None = None,
     features2: Features | None = None,
 ) -> MatchSet:
@@ -131,8 +121,8 @@ def generalized_matches(
 
     Parameters
     ----------
-    image1, image2 : path, ndarray, Photograph or None
-        The photographs; None only where features are handed in.
+    image1, image2, features, features1, features2
+        As for `standard_matches`.
     ncc_threshold : float
         Lowest normalised cross-correlation of two descriptors, in (-1, 1).
     max_candidates : int
@@ -140,10 +130,6 @@ def generalized_matches(
         a limit two brick walls give millions.
     right_share : float
         Probability, in (0, 1), that one of a feature's candidates is right; its candidates share it.
-    features : FeatureSettings, optional
-        The paper's by default: plain SIFT, normalised cross-correlation.
-    features1, features2 : Features, optional
-        Used instead of detected ones; `features` then says how descriptors are normalised.
 
     Returns
     -------
@@ -167,37 +153,14 @@ def generalized_matches(
         raise SettingsError(f"max_candidates is {max_candidates}, expected at least 1")
     if not 0 < right_share < 1:
         raise SettingsError(f"right_share is {right_share}, expected a number between 0 and 1")
-    settings = replace(find_preset("paper"), features=features or find_preset("paper").features)
+    settings = replace(PAPER, features=features)
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
     rows, to, similarity = _candidates(*prepared.descriptors, ncc_threshold, max_candidates)
-    f1, f2 = prepared.features
-    feature1, feature2 = prepared.locations[0].first_twin(rows), prepared.locations[1].first_twin(to)
-    rivals = np.maximum(
-        np.bincount(feature1, minlength=1)[feature1] if len(rows) else np.ones(0),
-        np.bincount(feature2, minlength=1)[feature2] if len(rows) else np.ones(0),
-    )
-    probability = right_share / np.maximum(rivals, 1)
+    found = _unranked(prepared, rows, to, similarity)
+    rivals = [np.bincount(f, minlength=1)[f] for f in (found.feature1, found.feature2)]
+    probability = right_share / np.maximum(*rivals)
     order = np.lexsort((to, rows, -similarity, -probability))
-    rows, to = rows[order], to[order]
-    nearest = prepared.forward.nearest[rows] == to
-    weights = similarity_weights(prepared.forward, prepared.backward)
-    return MatchSet(
-        x1=f1.xy[rows],
-        x2=f2.xy[to],
-        scale1=f1.scale[rows],
-        scale2=f2.scale[to],
-        orientation1_deg=f1.orientation_deg[rows],
-        orientation2_deg=f2.orientation_deg[to],
-        feature1=feature1[order],
-        feature2=feature2[order],
-        probability=probability[order],
-        supporting_matrices=np.zeros(len(rows), np.int64),
-        distance_ratio=np.where(nearest, prepared.forward.distance_ratio[rows], 1.0),
-        similarity_weight=np.where(nearest, weights[rows], 0.0),
-        similarity=similarity[order],
-        two_keypoint_probability=np.zeros(len(rows)),
-        image_sizes=(f1.image_size, f2.image_size),
-    )
+    return replace(found, probability=probability).take(order)
 
 
 def _candidates(

@@ -1,8 +1,8 @@
 """Step 3b: clusters of similar features within one image (paper, section 4.2).
 
-Average linkage on one minus the similarity, cut at a similarity of 0.85. The average linkage of two groups is below the
-cut only if some pair across is, so clusters never leave a connected component of the graph {similarity >= 0.85}:
-components are found by blocks, and only inside each is there any linking to do.
+Average linkage on one minus the similarity, cut at a similarity of 0.85; the paper says "agglomerative" and leaves the
+linkage open. The average linkage of two groups is below the cut only if that of some pair across is, so clusters never
+leave a connected component of the graph {similarity >= 0.85}: components are found by blocks, linkage runs within each.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numba
 import numpy as np
 
+from epiprior.kernels.compilation import compiled
 from epiprior.types import Float32Array, IntArray
 
 _BLOCK = 512
@@ -43,7 +43,7 @@ class Clusters:
         return len(self.start) - 1
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _root(parent, i):  # type: ignore[no-untyped-def]
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -51,7 +51,7 @@ def _root(parent, i):  # type: ignore[no-untyped-def]
     return i
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _join_similar(S, row0, threshold, parent):  # type: ignore[no-untyped-def]
     """Join features whose similarity in this block (rows and columns from `row0`) reaches the threshold."""
     for r in range(S.shape[0]):
@@ -64,13 +64,13 @@ def _join_similar(S, row0, threshold, parent):  # type: ignore[no-untyped-def]
                     parent[a] = b
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _all_roots(parent):  # type: ignore[no-untyped-def]
     for i in range(len(parent)):
         parent[i] = _root(parent, i)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _nearest_alive(D, alive, a, previous):  # type: ignore[no-untyped-def]
     """Return the nearest cluster to `a`; the previous link of the chain wins a tie, then the lower index."""
     best, nearest = np.float32(np.inf), -1
@@ -82,7 +82,7 @@ def _nearest_alive(D, alive, a, previous):  # type: ignore[no-untyped-def]
     return best, nearest
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _average_linkage(D, cut):  # type: ignore[no-untyped-def]
     """Return the cluster (lowest member) of each row of the distance matrix `D`, which is overwritten.
 
@@ -133,7 +133,7 @@ def _average_linkage(D, cut):  # type: ignore[no-untyped-def]
     return owner
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _median_descriptors(descriptors, members, start):  # type: ignore[no-untyped-def]
     out = np.empty((len(start) - 1, descriptors.shape[1]), np.float32)
     for c in range(len(start) - 1):
@@ -150,23 +150,9 @@ def _median_descriptors(descriptors, members, start):  # type: ignore[no-untyped
 
 
 def cluster_features(descriptors: Float32Array, min_similarity: float = 0.85) -> Clusters:
-    """Cluster the features of one image by the similarity of their descriptors.
+    """Cluster the features of one image by their unit descriptors at a fixed orientation, shape (N, D), float32.
 
-    Parameters
-    ----------
-    descriptors : ndarray, shape (N, D), float32
-        Unit descriptors at a fixed orientation.
-    min_similarity : float
-        Merging stops below this average similarity, in (-1, 1).
-
-    Returns
-    -------
-    Clusters
-        Every feature is in exactly one.
-
-    Notes
-    -----
-    The paper says "agglomerative" and leaves the linkage open; this is average linkage.
+    Merging stops below the average similarity `min_similarity`, in (-1, 1). Every feature is in exactly one cluster.
     """
     n = len(descriptors)
     owner = np.arange(n)

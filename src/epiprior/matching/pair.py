@@ -1,36 +1,43 @@
-"""Steps 1 to 3a on a pair: features, standard matches, roll hypotheses (paper, sections 4.1 and 4.2).
-
-All that does not depend on the roll is computed once.
-"""
+"""Steps 1 to 3a on a pair: features, standard matches, roll hypotheses (paper, sections 4.1 and 4.2)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
 from epiprior.errors import FeatureError, ImageError
-from epiprior.features.detect import (
-    FeatureSettings,
-    Photograph,
-    View,
-    blank_photograph,
-    detect_features,
-    load_photograph,
-    normalise_descriptors,
-)
+from epiprior.features.describe import normalise_descriptors
+from epiprior.features.detect import detect_features
+from epiprior.features.images import Photograph, View, blank_photograph, load_photograph
+from epiprior.features.locations import Locations, locate
 from epiprior.matching.roll import expected_roll, orientation_differences
-from epiprior.matching.standard import Neighbours, mutual_mask, nearest_neighbours
+from epiprior.matching.standard import Neighbours, StandardTable, mutual_mask, nearest_neighbours, standard_table
 from epiprior.presets import DEFAULT, PreprocessSettings
-from epiprior.ranking.frames import Locations, locate
-from epiprior.ranking.probabilities import StandardTable, standard_table
-from epiprior.stopwatch import Stopwatch
 from epiprior.types import Features, Float32Array, FloatArray
 
 _T = TypeVar("_T")
+
+
+class Stopwatch:
+    """Wall time per named step; a step that is repeated adds up."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Time the body of a with statement."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 def both_images(function: Callable[[int], _T]) -> tuple[_T, _T]:
@@ -71,11 +78,6 @@ class PreparedPair:
     backward: Neighbours
     table: StandardTable
 
-    @property
-    def orientation_rad(self) -> tuple[FloatArray, FloatArray]:
-        """Orientation of the features of both images, radians."""
-        return np.deg2rad(self.features[0].orientation_deg), np.deg2rad(self.features[1].orientation_deg)
-
 
 def prepare_pair(
     image1: View | None,
@@ -99,8 +101,14 @@ def prepare_pair(
         Used instead of detected ones; pixels of the images as given.
     watch : Stopwatch, optional
         Takes the seconds of the steps.
+
+    Raises
+    ------
+    ImageError, FeatureError
+        For input that cannot be used; the message names the image.
     """
     watch = watch or Stopwatch()
+    limit, how = settings.features.max_image_size, settings.features
     images, given = (image1, image2), (features1, features2)
     for k, (image, own) in enumerate(zip(images, given, strict=True), start=1):
         if image is None and own is None:
@@ -108,10 +116,10 @@ def prepare_pair(
 
     def find(k: int) -> tuple[Photograph | None, Features]:
         image, own = images[k], given[k]
-        photograph = None if image is None else load_photograph(image, settings.features.max_image_size)
+        photograph = None if image is None else load_photograph(image, limit)
         if own is None:
             assert photograph is not None
-            own = detect_features(photograph, settings.features)
+            own = detect_features(photograph, how)
         elif not isinstance(own, Features):
             raise FeatureError(f"features of image {k + 1} are {type(own).__name__}, expected epiprior.Features")
         elif photograph is not None and own.image_size != photograph.size:
@@ -127,50 +135,32 @@ def prepare_pair(
             f"descriptors have {own1.descriptors.shape[1]} and {own2.descriptors.shape[1]} entries, expected the same"
         )
     with watch.step("standard matches"):
-        descriptors = (
-            unit_descriptors(own1.descriptors, settings.features),
-            unit_descriptors(own2.descriptors, settings.features),
-        )
-        forward, backward = nearest_neighbours(*descriptors)
-        limit = settings.features.max_image_size
-        working = (
-            photo1 or blank_photograph(own1.image_size, limit),
-            photo2 or blank_photograph(own2.image_size, limit),
-        )
-        locations = (_locate(own1, working[0]), _locate(own2, working[1]))
-        of = (locations[0].of_feature, locations[1].of_feature)
-        table = standard_table(forward, backward, of, settings.max_distance_ratio)
+        d1, d2 = (normalise_descriptors(f.descriptors, root=how.root, centred=how.centred) for f in (own1, own2))
+        forward, backward = nearest_neighbours(d1, d2)
+        working1 = photo1 or blank_photograph(own1.image_size, limit)
+        working2 = photo2 or blank_photograph(own2.image_size, limit)
+        place1, place2 = locate(own1, working1), locate(own2, working2)
+        location_of = (place1.of_feature, place2.of_feature)
+        table = standard_table(forward, backward, location_of, settings.max_distance_ratio)
     return PreparedPair(
         photographs=(photo1, photo2),
         features=(own1, own2),
-        descriptors=descriptors,
-        to_working=(working[0].working_map, working[1].working_map),
-        locations=locations,
+        descriptors=(d1, d2),
+        to_working=(working1.working_map, working2.working_map),
+        locations=(place1, place2),
         forward=forward,
         backward=backward,
         table=table,
     )
 
 
-def unit_descriptors(descriptors: Float32Array, settings: FeatureSettings) -> Float32Array:
-    """Return descriptors normalised as the settings say."""
-    return normalise_descriptors(descriptors, root=settings.root, centred=settings.centred)
-
-
-def _locate(features: Features, working: Photograph) -> Locations:
-    return locate(features, working.to_working(features.xy), working.factor)
-
-
 def roll_hypotheses(prepared: PreparedPair, settings: PreprocessSettings = DEFAULT) -> tuple[float, ...]:
     """Return the roll hypotheses alpha_exp and 0, degrees (section 4.2); one where they nearly agree."""
-    expected = expected_roll(roll_differences(prepared, settings), settings.roll_bandwidth_deg)
-    return (0.0,) if abs(expected) <= settings.merge_rolls_deg and settings.merge_rolls_deg > 0 else (expected, 0.0)
-
-
-def roll_differences(prepared: PreparedPair, settings: PreprocessSettings = DEFAULT) -> FloatArray:
-    """Return the orientation differences over X_L and X_B, degrees in [0, 360)."""
+    # X_L and X_B decide alpha_exp.
     forward = prepared.forward
     mask = mutual_mask(forward, prepared.backward) | (forward.distance_ratio <= settings.max_distance_ratio)
     rows = np.flatnonzero(mask & (forward.nearest >= 0))
     first, second = prepared.features
-    return orientation_differences(first.orientation_deg[rows], second.orientation_deg[forward.nearest[rows]])
+    differences = orientation_differences(first.orientation_deg[rows], second.orientation_deg[forward.nearest[rows]])
+    expected = expected_roll(differences, settings.roll_bandwidth_deg)
+    return (0.0,) if abs(expected) <= settings.merge_rolls_deg and settings.merge_rolls_deg > 0 else (expected, 0.0)

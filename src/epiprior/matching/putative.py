@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from epiprior.kernels.compilation import compiled
 from epiprior.matching.clusters import Clusters
 from epiprior.matching.standard import nearest_neighbours
 from epiprior.types import Float32Array, IntArray
@@ -42,10 +42,7 @@ class PutativeMatches:
 def matched_clusters(clusters1: Clusters, clusters2: Clusters) -> IntArray:
     """Match each cluster to the closest of the other image, in both directions, without any ratio test.
 
-    Returns
-    -------
-    ndarray, shape (P, 2), int64
-        Distinct pairs of clusters, ascending.
+    Returns distinct pairs of clusters, shape (P, 2), ascending.
     """
     if not len(clusters1) or not len(clusters2):
         return np.empty((0, 2), np.int64)
@@ -59,7 +56,7 @@ def matched_clusters(clusters1: Clusters, clusters2: Clusters) -> IntArray:
     return np.unique(pairs, axis=0)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _member_pairs(pairs, members1, start1, members2, start2, d1, d2, limit):  # type: ignore[no-untyped-def]
     """List all pairs of members of matched clusters; above the limit, the most similar ones."""
     total = 0
@@ -112,23 +109,10 @@ def putative_matches(
     max_matches_per_cluster_pair : int
         Of a pair of clusters with more member pairs, only so many, the most similar ones, are kept. The paper
         has no such limit; two walls of bricks need one.
-
-    Returns
-    -------
-    PutativeMatches
-        Most of them wrong.
     """
     pairs = matched_clusters(clusters1, clusters2)
-    rows, capped = _member_pairs(
-        pairs,
-        clusters1.members,
-        clusters1.start,
-        clusters2.members,
-        clusters2.start,
-        descriptors1,
-        descriptors2,
-        max_matches_per_cluster_pair,
-    )
+    members = (clusters1.members, clusters1.start, clusters2.members, clusters2.start)
+    rows, capped = _member_pairs(pairs, *members, descriptors1, descriptors2, max_matches_per_cluster_pair)
     if capped:
         logger.debug("%d of %d cluster pairs cut to %d matches", capped, len(pairs), max_matches_per_cluster_pair)
     n1, n2 = len(descriptors1), len(descriptors2)

@@ -10,7 +10,7 @@ _GRID = 720
 
 
 def orientation_differences(orientation1_deg: FloatArray, orientation2_deg: FloatArray) -> FloatArray:
-    """Return orientation 2 minus orientation 1, degrees in [0, 360): the roll of image 2 that each match proposes."""
+    """Return orientation 2 minus orientation 1, degrees in [0, 360): the roll of image 2 by each match alone."""
     return np.asarray(np.mod(orientation2_deg - orientation1_deg, 360.0))
 
 

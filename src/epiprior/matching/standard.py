@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from epiprior.kernels.compilation import compiled
 from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
 
 _BLOCK = 512
@@ -36,7 +36,7 @@ class Neighbours:
         return np.divide(angle, angle2, out=np.ones_like(angle), where=angle2 > 0)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _update_two_best(S, row0, nearest1, best1, second1, nearest2, best2, second2):  # type: ignore[no-untyped-def]
     """Enter a block of similarities, rows `row0` onward, into the two best of both sides; ties keep the lower index."""
     for r in range(S.shape[0]):
@@ -58,21 +58,11 @@ def _update_two_best(S, row0, nearest1, best1, second1, nearest2, best2, second2
 
 
 def nearest_neighbours(d1: Float32Array, d2: Float32Array) -> tuple[Neighbours, Neighbours]:
-    """Search both directions exhaustively, by blocks.
-
-    Parameters
-    ----------
-    d1, d2 : ndarray, shapes (N1, D) and (N2, D), float32
-        Unit descriptors.
-
-    Returns
-    -------
-    tuple of Neighbours
-        For each descriptor of image 1 in image 2, and the other way round.
-    """
-    sides = []
-    for n in (len(d1), len(d2)):
-        sides.append((np.full(n, -1, np.int64), np.full(n, -1.0, np.float32), np.full(n, -1.0, np.float32)))
+    """Return the neighbours of each unit descriptor of image 1 in image 2, and the other way round (exhaustive)."""
+    sides = [
+        (np.full(n, -1, np.int64), np.full(n, -1.0, np.float32), np.full(n, -1.0, np.float32))
+        for n in (len(d1), len(d2))
+    ]
     if len(d1) and len(d2):
         for row0 in range(0, len(d1), _BLOCK):
             _update_two_best(d1[row0 : row0 + _BLOCK] @ d2.T, row0, *sides[0], *sides[1])
@@ -95,8 +85,7 @@ def similarity_weights(forward: Neighbours, backward: Neighbours) -> FloatArray:
     Returns
     -------
     ndarray, shape (N1,), float64
-        >= 0; 0 where the nearest neighbour is not mutual, or m_k <= 0, for which t_k means nothing. Similarities
-        below zero count as zero.
+        >= 0; 0 where the nearest neighbour is not mutual, or m_k <= 0. Other similarities below zero count as zero.
 
     References
     ----------
@@ -109,3 +98,58 @@ def similarity_weights(forward: Neighbours, backward: Neighbours) -> FloatArray:
     m1 = np.clip(backward.second[forward.nearest[keep]], 0.0, None).astype(np.float64)
     weights[keep] = (1 - np.exp(-m)) ** 2 * np.clip(1 - m1 / m, 0, 1) * np.clip(1 - m2 / m, 0, 1)
     return weights
+
+
+@dataclass(frozen=True)
+class StandardTable:
+    """X_L and X_B together, one row per distinct pair of locations, ascending.
+
+    Parameters
+    ----------
+    location1, location2 : ndarray, shape (S,), int64
+        The matched locations.
+    distance_ratio, distance_ratio_backward : ndarray, shape (S,), float64
+        d_r from image 1 to 2 and from image 2 to 1; 1 where the match is not the nearest in that direction, or d_r is
+        above the limit of X_L.
+    similarity_weight : ndarray, shape (S,), float64
+        t_k; 0 where the match is not in X_B.
+    mutual : ndarray, shape (S,), bool
+        Whether the match is in X_B.
+    """
+
+    location1: IntArray
+    location2: IntArray
+    distance_ratio: FloatArray
+    distance_ratio_backward: FloatArray
+    similarity_weight: FloatArray
+    mutual: BoolArray
+
+
+def standard_table(
+    forward: Neighbours,
+    backward: Neighbours,
+    location_of: tuple[IntArray, IntArray],
+    max_distance_ratio: float,
+) -> StandardTable:
+    """Collect X_L (d_r up to the limit) and X_B (mutual nearest neighbours) by location (section 4.1).
+
+    Of several features at one location the best counts: lowest d_r, highest t_k.
+    """
+    of1, of2 = location_of
+    width = int(of2.max(initial=0)) + 1
+    mutual = mutual_mask(forward, backward)
+    ratio = np.where(forward.distance_ratio <= max_distance_ratio, forward.distance_ratio, 1.0)
+    chosen = np.flatnonzero((forward.nearest >= 0) & (mutual | (ratio < 1.0)))
+    keys, row = np.unique(of1[chosen] * width + of2[forward.nearest[chosen]], return_inverse=True)
+    row = row.reshape(-1)
+    best_ratio, best_backward = np.ones(len(keys)), np.ones(len(keys))
+    best_weight, is_mutual = np.zeros(len(keys)), np.zeros(len(keys), bool)
+    np.minimum.at(best_ratio, row, ratio[chosen])
+    np.maximum.at(best_weight, row, similarity_weights(forward, backward)[chosen])
+    np.logical_or.at(is_mutual, row, mutual[chosen])
+    if len(keys):
+        back_keys = of1[backward.nearest] * width + of2
+        place = np.minimum(np.searchsorted(keys, back_keys), len(keys) - 1)
+        known = keys[place] == back_keys
+        np.minimum.at(best_backward, place[known], backward.distance_ratio[known])
+    return StandardTable(keys // width, keys % width, best_ratio, best_backward, best_weight, is_mutual)

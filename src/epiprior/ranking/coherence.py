@@ -1,8 +1,8 @@
 """Step 4b, beyond the paper: whether the matches around a match move as it does.
 
-A 2keypoint asks one neighbour. Here many are asked, further away: of the features around a match, how many have a
-candidate that lies where the match's own similarity would take it? Right matches of a surface answer together; a window
-that was taken for its neighbour has only that window on its side.
+A 2keypoint has one neighbour. Coherence takes many, further away: of the features around a match, how many have a
+candidate that lies where the match's own similarity transformation takes it? Right matches of a surface agree with each
+other; a window that was taken for the next one agrees with the other features of that window only.
 
 References: agreement with the neighbourhood is what GMS (Bian et al., CVPR 2017) counts by cells and AdaLAM (Cavalli et
 al., ECCV 2020) by local affine maps, both among one candidate per feature. Weighing many candidates of each feature is
@@ -11,14 +11,14 @@ ours.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
-from scipy.spatial import cKDTree
 
+from epiprior.kernels.compilation import compiled
+from epiprior.presets import COHERENCE_COLUMNS
 from epiprior.ranking.frames import MatchFrames
+from epiprior.ranking.neighbourhoods import nearest_points
 from epiprior.types import FloatArray, IntArray
 
-COLUMNS = ("coherence_near", "coherence_near_share", "coherence_far", "coherence_far_share")
 NEAR, FAR = 12, 48
 REACH_PX, LEAST_PX = 300.0, 2.0
 TOLERANCE = 0.4
@@ -36,44 +36,41 @@ def coherence(frames: MatchFrames, location1: IntArray, weights: FloatArray) -> 
     location1 : ndarray, shape (M,), int64
         Location of each in image 1.
     weights : ndarray, shape (M,), float64
-        How probable each match is by itself, in [0, 1]; matches below 0.02 are not asked.
+        How probable each match is by itself, in [0, 1]; candidates are the matches of at least 0.02.
 
     Returns
     -------
     ndarray, shape (M, 4), float64
-        Columns as `COLUMNS` names them: the sum over the 12 and over the 48 nearest locations of image 1 that have a
-        candidate worth asking, of the best candidate's weight times its agreement; and the same over the sum of the
-        best weights (and a half, so that few neighbours prove little).
+        `COHERENCE_COLUMNS`: over the 12 nearest locations of image 1 that have a candidate, the sum of the best
+        candidate's weight times its agreement, and this sum over that of the highest weights plus 0.5, so that few
+        neighbours count less; then the same over the 48 nearest.
 
     Notes
     -----
     A match at ``x1 -> x2`` expects the neighbour at ``x1 + v`` at ``x2 + s R v``, where R turns by the roll hypothesis
-    and s is the geometric mean of both matches' scale changes. With e the distance from there over ``s |v|``, a
-    candidate agrees by ``1 - (e / 0.4)^2``, and not at all beyond. Neighbours count from 2 to 300 working pixels. Where
-    the match's own location has nobody worth asking, 13 and 49 others are asked.
+    and s is the geometric mean of both matches' scale changes. With e the distance from there over ``s |v|``, the
+    agreement of a candidate is ``1 - (e / 0.4)^2``, and 0 beyond. Neighbours count from 2 to 300 working pixels. Where
+    the match's own location has no candidate, 13 and 49 locations count.
     """
-    out = np.zeros((len(frames), len(COLUMNS)))
-    asked = np.flatnonzero(weights >= _LEAST_WEIGHT)
-    asked = asked[np.argsort(location1[asked], kind="stable")]
-    places, first = np.unique(location1[asked], return_index=True)
+    out = np.zeros((len(frames), len(COHERENCE_COLUMNS)))
+    candidates = np.flatnonzero(weights >= _LEAST_WEIGHT)
+    candidates = candidates[np.argsort(location1[candidates], kind="stable")]
+    places, first = np.unique(location1[candidates], return_index=True)
     if len(places) < 2:
         return out
-    start = np.append(first, len(asked)).astype(np.int64)
+    start = np.append(first, len(candidates)).astype(np.int64)
     own, row = np.unique(location1, return_index=True)
     # One more than wanted, since a location is its own nearest; its distance of zero is below the least that counts.
-    distance, near = cKDTree(frames.x1[asked[first]]).query(frames.x1[row], k=min(FAR + 1, len(places)))
-    # Ties by index, so that the order does not depend on the tree.
-    order = np.lexsort((near, np.round(distance, 9)), axis=1)
-    near = np.take_along_axis(near, order, 1).astype(np.int64)
+    _, near = nearest_points(frames.x1[candidates[first]], frames.x1[row], FAR + 1)
     turn = np.array([np.cos(frames.roll_rad), np.sin(frames.roll_rad)])
     root_scale = np.sqrt(frames.scale2 / frames.scale1)
     of_match = np.searchsorted(own, location1)
-    _ask(frames.x1, frames.x2, root_scale, turn, weights, of_match, near, NEAR + 1, asked, start, out)
+    _agreements(frames.x1, frames.x2, root_scale, turn, weights, of_match, near, NEAR + 1, candidates, start, out)
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _ask(x1, x2, root_scale, turn, weights, of_match, near, near_count, asked, start, out):  # type: ignore[no-untyped-def]
+@compiled(error_model="numpy")
+def _agreements(x1, x2, root_scale, turn, weights, of_match, near, near_count, candidates, start, out):  # type: ignore[no-untyped-def]
     for m in range(len(x1)):
         agreement = 0.0
         most = 0.0
@@ -82,15 +79,15 @@ def _ask(x1, x2, root_scale, turn, weights, of_match, near, near_count, asked, s
                 out[m, 0] = agreement
                 out[m, 1] = agreement / (most + _DOUBT)
             place = near[of_match[m], e]
-            v0 = x1[asked[start[place]], 0] - x1[m, 0]
-            v1 = x1[asked[start[place]], 1] - x1[m, 1]
+            v0 = x1[candidates[start[place]], 0] - x1[m, 0]
+            v1 = x1[candidates[start[place]], 1] - x1[m, 1]
             length_sq = v0 * v0 + v1 * v1
             if not LEAST_PX * LEAST_PX <= length_sq <= REACH_PX * REACH_PX:
                 continue
             best = 0.0
             highest = 0.0
             for q in range(start[place], start[place + 1]):
-                n = asked[q]
+                n = candidates[q]
                 highest = max(highest, weights[n])
                 s = root_scale[m] * root_scale[n]
                 d0 = x2[n, 0] - x2[m, 0] - s * (turn[0] * v0 - turn[1] * v1)
@@ -109,7 +106,7 @@ def _ask(x1, x2, root_scale, turn, weights, of_match, near, near_count, asked, s
 def descriptor_weights(
     location1: IntArray, location2: IntArray, similarity: FloatArray, distance_ratio: FloatArray
 ) -> FloatArray:
-    """Return how probable matches are by their descriptors alone, roughly: no classifier has seen them yet.
+    """Return rough probabilities of matches by their descriptors alone, before any classifier.
 
     Parameters
     ----------

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-import numba
 import numpy as np
 
-from epiprior.features.detect import unique_locations
-from epiprior.types import BoolArray, Features, Float32Array, FloatArray, IntArray
+from epiprior.kernels.compilation import compiled
+from epiprior.matching.pair import PreparedPair
+from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,48 +61,7 @@ class MatchFrames:
         return replace(self, **rows)
 
 
-@dataclass(frozen=True)
-class Locations:
-    """Features of one image, grouped by (location, scale): twins differ only in orientation.
-
-    Parameters
-    ----------
-    xy : ndarray, shape (L, 2), float64
-        Working pixels.
-    scale : ndarray, shape (L,), float64
-        Sigma, working pixels.
-    first : ndarray, shape (L,), int64
-        First feature of each location.
-    of_feature : ndarray, shape (N,), int64
-        Location of each feature.
-    twins, start : ndarray, int64
-        Features of location l are ``twins[start[l]:start[l + 1]]``.
-    """
-
-    xy: FloatArray
-    scale: FloatArray
-    first: IntArray
-    of_feature: IntArray
-    twins: IntArray
-    start: IntArray
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-    def first_twin(self, features: IntArray) -> IntArray:
-        """Return the first feature at the location of each of some `features`: what matches name it by."""
-        return self.first[self.of_feature[features]]
-
-
-def locate(features: Features, xy: FloatArray, factor: float) -> Locations:
-    """Group `features`; `xy` are their working pixels, `factor` the given pixels per working pixel."""
-    first, of_feature = unique_locations(features)
-    twins = np.argsort(of_feature, kind="stable").astype(np.int64)
-    start = np.searchsorted(of_feature[twins], np.arange(len(first) + 1)).astype(np.int64)
-    return Locations(xy[first], features.scale[first] / factor, first, of_feature, twins, start)
-
-
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _dot(a, b):  # type: ignore[no-untyped-def]
     total = np.float32(0)
     for k in range(len(a)):
@@ -110,7 +69,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _most_alike(rows1, rows2, twins1, start1, twins2, start2, d1, d2):  # type: ignore[no-untyped-def]
     """For each pair of locations, the two features that are most alike, and their similarity."""
     best1 = np.empty(len(rows1), np.int64)
@@ -128,7 +87,7 @@ def _most_alike(rows1, rows2, twins1, start1, twins2, start2, d1, d2):  # type: 
     return best1, best2, similarity
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _paired_similarity(rows1, rows2, d1, d2):  # type: ignore[no-untyped-def]
     out = np.empty(len(rows1), np.float64)
     for m in range(len(rows1)):
@@ -137,41 +96,23 @@ def _paired_similarity(rows1, rows2, d1, d2):  # type: ignore[no-untyped-def]
 
 
 def match_frames(
-    rows1: IntArray,
-    rows2: IntArray,
-    locations: tuple[Locations, Locations],
-    orientation_rad: tuple[FloatArray, FloatArray],
-    descriptors: tuple[Float32Array, Float32Array],
-    fixed: tuple[Float32Array, Float32Array],
-    roll_rad: float,
+    prepared: PreparedPair, rows1: IntArray, rows2: IntArray, fixed: tuple[Float32Array, Float32Array], roll_deg: float
 ) -> MatchFrames:
-    """Collect the frames of the matches of locations `rows1` with `rows2`.
+    """Collect the frames of the matches of locations `rows1` with `rows2`, shape (M,) each.
 
-    Parameters
-    ----------
-    rows1, rows2 : ndarray, shape (M,), int64
-        Locations of image 1 and 2.
-    locations : tuple of Locations
-        Of both images.
-    orientation_rad : tuple of ndarray
-        Orientation of every feature of both images, radians.
-    descriptors : tuple of ndarray
-        Unit descriptors of every feature of both images, at its own orientation.
-    fixed : tuple of ndarray
-        Unit descriptors of every location of both images, at the fixed orientations.
-    roll_rad : float
-        The roll hypothesis, radians.
+    `fixed` holds the unit descriptors of every location of both images at the fixed orientations.
     """
-    l1, l2 = locations
-    best1, best2, similarity = _most_alike(rows1, rows2, l1.twins, l1.start, l2.twins, l2.start, *descriptors)
+    (l1, l2), (f1, f2) = prepared.locations, prepared.features
+    twins = (l1.twins, l1.start, l2.twins, l2.start)
+    best1, best2, similarity = _most_alike(rows1, rows2, *twins, *prepared.descriptors)
     return MatchFrames(
         x1=l1.xy[rows1],
         x2=l2.xy[rows2],
         scale1=l1.scale[rows1],
         scale2=l2.scale[rows2],
-        orientation1_rad=orientation_rad[0][best1],
-        orientation2_rad=orientation_rad[1][best2],
+        orientation1_rad=np.deg2rad(f1.orientation_deg[best1]),
+        orientation2_rad=np.deg2rad(f2.orientation_deg[best2]),
         similarity=similarity,
         fixed_similarity=_paired_similarity(rows1, rows2, *fixed),
-        roll_rad=roll_rad,
+        roll_rad=float(np.deg2rad(roll_deg)),
     )

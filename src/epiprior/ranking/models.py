@@ -2,7 +2,7 @@
 
 A model is a folder: ``two_keypoint.onnx`` gives the probability of 2keypoint matches (paper, section 4.4),
 ``match.onnx`` that of matches (section 4.6), ``manifest.json`` describes both, ``README.md`` is the model
-card. Loading executes nothing of the folder; a folder that is not what its manifest says is refused.
+card. Loading executes nothing of the folder; a folder that differs from its manifest is refused.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 import onnxruntime
 
-from epiprior.errors import FeatureError, ModelError, SettingsError
+from epiprior.errors import FeatureError, ModelError
 from epiprior.types import Float32Array, FloatArray
 
 SCHEMA_VERSION = 1
@@ -33,19 +32,9 @@ _CHUNK = 8192
 
 
 def calibrate(probability: FloatArray, a: float, b: float) -> FloatArray:
-    """Return ``sigmoid(a * logit(p) + b)``: Platt scaling, strictly increasing for ``a > 0``.
+    """Return ``sigmoid(a * logit(p) + b)``, in (0, 1): Platt scaling, strictly increasing for ``a > 0``.
 
-    Parameters
-    ----------
-    probability : ndarray, shape (N,), float64
-        Probabilities as the classifier gives them, in [0, 1]; they are clipped to [1e-7, 1 - 1e-7].
-    a, b : float
-        Slope (> 0) and offset.
-
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        In (0, 1).
+    Probabilities are those of the classifier, in [0, 1]; they are clipped to [1e-7, 1 - 1e-7].
     """
     p = np.clip(np.asarray(probability, np.float64), _CLIP, 1.0 - _CLIP)
     return np.asarray(1.0 / (1.0 + np.exp(-(a * (np.log(p) - np.log1p(-p)) + b))), np.float64)
@@ -58,27 +47,31 @@ class Classifier:
     Parameters
     ----------
     session : onnxruntime.InferenceSession
-        Takes ``rows`` (N, C) float32, gives ``probability`` (N,).
+        Takes ``rows`` (N, C) float32, gives ``probability`` (N,). It runs in one thread, so that sums are taken in one
+        order: the bytes do not depend on the machine's load.
     columns : tuple of str
         Names of the C columns, in order.
     a, b : float
         Platt scaling of the logit.
-    threads : int
-        Chunks of rows predicted at a time.
     """
 
     session: onnxruntime.InferenceSession
     columns: tuple[str, ...]
     a: float
     b: float
-    threads: int = 1
 
     def __call__(self, rows: Float32Array) -> FloatArray:
-        """Return calibrated probabilities; see `RankingModel.predict_match`."""
+        """Return calibrated probabilities, in (0, 1)."""
         return calibrate(self.uncalibrated(rows), self.a, self.b)
 
     def uncalibrated(self, rows: Float32Array) -> FloatArray:
-        """Return the probabilities as the classifier gives them; otherwise like a call."""
+        """Return the probabilities as the classifier gives them.
+
+        Raises
+        ------
+        FeatureError
+            If the rows have another shape or type, or hold a value that is not finite.
+        """
         if not isinstance(rows, np.ndarray) or rows.dtype != np.float32:
             got = rows.dtype if isinstance(rows, np.ndarray) else type(rows).__name__
             raise FeatureError(f"rows to classify: expected a float32 array, got {got}")
@@ -91,17 +84,11 @@ class Classifier:
         if not finite.all():
             row, column = np.argwhere(~finite)[0]
             raise FeatureError(f"rows to classify: {self.columns[column]} of row {row} is {rows[row, column]}")
-        chunks = [np.ascontiguousarray(rows[i : i + _CHUNK]) for i in range(0, len(rows), _CHUNK)]
-        # A row's value does not depend on its chunk, so neither on the number of threads.
-        if self.threads > 1 and len(chunks) > 1:
-            with ThreadPoolExecutor(self.threads) as pool:
-                parts = list(pool.map(self._run, chunks))
-        else:
-            parts = [self._run(chunk) for chunk in chunks]
-        return np.concatenate(parts) if parts else np.empty(0)
-
-    def _run(self, rows: Float32Array) -> FloatArray:
-        return np.asarray(self.session.run(["probability"], {"rows": rows})[0], np.float64).reshape(-1)
+        parts = [np.empty(0)]
+        for first in range(0, len(rows), _CHUNK):
+            chunk = np.ascontiguousarray(rows[first : first + _CHUNK])
+            parts.append(np.asarray(self.session.run(["probability"], {"rows": chunk})[0], np.float64).reshape(-1))
+        return np.concatenate(parts)
 
 
 @dataclass(frozen=True)
@@ -116,11 +103,6 @@ class RankingModel:
         Contents of ``manifest.json``: preset, training data, metrics, library versions, hashes.
     two_keypoint, match : Classifier
         The classifiers of 2keypoint matches and of matches.
-
-    Notes
-    -----
-    Each runs in one thread, so that its sums are taken in one order: the bytes do not depend on the machine's
-    load.
     """
 
     name: str
@@ -141,56 +123,22 @@ class RankingModel:
     def predict_two_keypoint(self, rows: Float32Array) -> FloatArray:
         """Return the probability that each 2keypoint match consists of right matches (section 4.4).
 
-        Parameters
-        ----------
-        rows : ndarray, shape (N, C), float32
-            2kpmd, the columns `two_keypoint_columns`. ``N = 0`` is allowed.
-
-        Returns
-        -------
-        ndarray, shape (N,), float64
-            Calibrated, in (0, 1).
-
-        Raises
-        ------
-        FeatureError
-            If the rows have another shape or type, or hold a value that is not finite.
+        Calibrated, in (0, 1), shape (N,). `rows`, shape (N, C), float32, hold `two_keypoint_columns`; other ones raise
+        FeatureError.
         """
         return self.two_keypoint(rows)
 
     def predict_match(self, rows: Float32Array) -> FloatArray:
         """Return the probability that each match is right (section 4.6).
 
-        Parameters
-        ----------
-        rows : ndarray, shape (N, C), float32
-            kpmd, the columns `match_columns`. ``N = 0`` is allowed.
-
-        Returns
-        -------
-        ndarray, shape (N,), float64
-            Calibrated, in (0, 1).
-
-        Raises
-        ------
-        FeatureError
-            If the rows have another shape or type, or hold a value that is not finite.
+        Calibrated, in (0, 1), shape (N,). `rows`, shape (N, C), float32, hold `match_columns`; other ones raise
+        FeatureError.
         """
         return self.match(rows)
 
 
 def find_model(name: str) -> Path:
-    """Return the folder of a model that comes with epiprior.
-
-    Parameters
-    ----------
-    name : str
-        Name of a preset that has a model, for example ``default``.
-
-    Returns
-    -------
-    Path
-        The folder inside the installed package, or ``models/<name>`` of the checkout.
+    """Return the folder of a model that comes with epiprior: in the installed package, or in a checkout.
 
     Raises
     ------
@@ -205,20 +153,13 @@ def find_model(name: str) -> Path:
     raise ModelError(f"no model named {name!r}: neither {places[0]} nor {places[1]} is a folder")
 
 
-def load_model(name_or_path: str | Path, *, threads: int = 1) -> RankingModel:
+def load_model(name_or_path: str | Path) -> RankingModel:
     """Load a model and check that it is whole.
 
     Parameters
     ----------
     name_or_path : str or Path
         A name for `find_model`, or a folder: a `Path`, or a string with a slash in it.
-    threads : int
-        Chunks of rows to predict at a time, >= 1. It changes no result.
-
-    Returns
-    -------
-    RankingModel
-        Ready to predict.
 
     Raises
     ------
@@ -226,11 +167,7 @@ def load_model(name_or_path: str | Path, *, threads: int = 1) -> RankingModel:
         If the folder or a file is missing, a file's hash is not the manifest's, the manifest is not JSON,
         misses something or has an unknown schema, or its feature names do not fit the classifier. The message
         names the file and what differs.
-    SettingsError
-        If `threads` is below one.
     """
-    if threads < 1:
-        raise SettingsError(f"threads = {threads}: expected 1 or more")
     is_name = isinstance(name_or_path, str) and not any(slash in name_or_path for slash in "/\\")
     folder = find_model(str(name_or_path)) if is_name else Path(name_or_path)
     if not folder.is_dir():
@@ -241,14 +178,17 @@ def load_model(name_or_path: str | Path, *, threads: int = 1) -> RankingModel:
         manifest = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise ModelError(f"{path}: not JSON: {error}") from error
-    if not isinstance(manifest, dict) or manifest.get("schema_version") != SCHEMA_VERSION:
-        version = manifest.get("schema_version") if isinstance(manifest, dict) else None
+    version = manifest.get("schema_version") if isinstance(manifest, dict) else None
+    if version != SCHEMA_VERSION:
         raise ModelError(f"{path}: schema_version is {version!r}, this epiprior reads {SCHEMA_VERSION}")
-    contents = {file: _read_checked(folder, manifest, file) for file in (*(f"{t}.onnx" for t in TARGETS), CARD)}
-    classifiers = [
-        _classifier(folder / f"{target}.onnx", contents[f"{target}.onnx"], manifest, target, threads)
-        for target in TARGETS
-    ]
+    contents = {}
+    for file in (*(f"{target}.onnx" for target in TARGETS), CARD):
+        expected = _entry(manifest, path, str, "files", file)
+        contents[file] = _read(folder / file)
+        found = hashlib.sha256(contents[file]).hexdigest()
+        if found != expected:
+            raise ModelError(f"{folder / file}: sha256 is {found}, {MANIFEST} says {expected}")
+    classifiers = (_classifier(path, manifest, target, contents[f"{target}.onnx"]) for target in TARGETS)
     return RankingModel(_entry(manifest, path, str, "name"), manifest, *classifiers)
 
 
@@ -259,18 +199,8 @@ def _read(path: Path) -> bytes:
         raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _read_checked(folder: Path, manifest: dict[str, Any], file: str) -> bytes:
-    """Read a file of the folder and compare its hash with the manifest's."""
-    expected = _entry(manifest, folder / MANIFEST, str, "files", file)
-    content = _read(folder / file)
-    found = hashlib.sha256(content).hexdigest()
-    if found != expected:
-        raise ModelError(f"{folder / file}: sha256 is {found}, {MANIFEST} says {expected}")
-    return content
-
-
 def _entry(manifest: Any, path: Path, kind: type, *keys: str) -> Any:
-    """Return the entry of the manifest under nested `keys`, of the type that is asked for."""
+    """Return the entry of the manifest under nested `keys`; ModelError unless it is of the type `kind`."""
     value = manifest
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else None
@@ -279,15 +209,15 @@ def _entry(manifest: Any, path: Path, kind: type, *keys: str) -> Any:
     return value
 
 
-def _classifier(path: Path, content: bytes, manifest: dict[str, Any], target: str, threads: int) -> Classifier:
-    """Open one classifier and compare it with what the manifest says of it."""
-    manifest_path = path.with_name(MANIFEST)
-    columns = _entry(manifest, manifest_path, list, target, "features")
+def _classifier(path: Path, manifest: dict[str, Any], target: str, content: bytes) -> Classifier:
+    """Open one classifier and compare it with the manifest, read from `path`."""
+    columns = _entry(manifest, path, list, target, "features")
     if not columns or len(set(map(str, columns))) != len(columns) or not all(isinstance(c, str) for c in columns):
-        raise ModelError(f"{manifest_path}: {target}.features is {columns!r}, expected different names")
-    a, b = (_entry(manifest, manifest_path, float, target, "calibration", key) for key in "ab")
+        raise ModelError(f"{path}: {target}.features is {columns!r}, expected different names")
+    a, b = (_entry(manifest, path, float, target, "calibration", key) for key in "ab")
     if not (np.isfinite(a) and np.isfinite(b) and a > 0):
-        raise ModelError(f"{manifest_path}: {target}.calibration is a = {a}, b = {b}, expected finite and a > 0")
+        raise ModelError(f"{path}: {target}.calibration is a = {a}, b = {b}, expected finite and a > 0")
+    file = path.with_name(f"{target}.onnx")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -295,12 +225,12 @@ def _classifier(path: Path, content: bytes, manifest: dict[str, Any], target: st
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:
-        raise ModelError(f"{path}: onnxruntime cannot load it: {error}") from error
+        raise ModelError(f"{file}: onnxruntime cannot load it: {error}") from error
     inputs = [(item.name, item.type, len(item.shape)) for item in session.get_inputs()]
     outputs = [item.name for item in session.get_outputs()]
     if inputs != [("rows", "tensor(float)", 2)] or outputs != ["probability"]:
-        raise ModelError(f"{path}: takes {inputs} and gives {outputs}, expected float 'rows' and 'probability'")
+        raise ModelError(f"{file}: takes {inputs} and gives {outputs}, expected float 'rows' and 'probability'")
     width = session.get_inputs()[0].shape[1]
     if width != len(columns):
-        raise ModelError(f"{path}: takes {width} columns, {MANIFEST} names {len(columns)}: {', '.join(columns)}")
-    return Classifier(session, tuple(columns), a, b, threads)
+        raise ModelError(f"{file}: takes {width} columns, {MANIFEST} names {len(columns)}: {', '.join(columns)}")
+    return Classifier(session, tuple(columns), a, b)

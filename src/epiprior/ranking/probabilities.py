@@ -7,90 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.matching.putative import PutativeMatches
-from epiprior.matching.standard import Neighbours, mutual_mask, similarity_weights
-from epiprior.ranking.coherence import COLUMNS as COHERENCE_COLUMNS
+from epiprior.matching.standard import StandardTable
+from epiprior.presets import MATCH_COLUMNS
 from epiprior.ranking.frames import MatchFrames
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
-from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
-
-PAPER_MATCH_COLUMNS = ("supporting_matrices", "distance_ratio", "similarity_weight")
-DEFAULT_MATCH_COLUMNS = (
-    *PAPER_MATCH_COLUMNS,
-    "mutual",
-    "distance_ratio_backward",
-    "similarity",
-    "fixed_similarity",
-    "best_two_keypoint",
-    "summed_two_keypoint",
-    "relative_support",
-    "weighted_support",
-    "rival_support",
-    "rivals",
-    "roll_error",
-    "scale_change",
-    *COHERENCE_COLUMNS,
-    "pair_best_two_keypoints",
-    "pair_two_keypoints",
-    "pair_support",
-)
-
-
-@dataclass(frozen=True)
-class StandardTable:
-    """X_L and X_B together, one row per distinct pair of locations, ascending.
-
-    Parameters
-    ----------
-    location1, location2 : ndarray, shape (S,), int64
-        The matched locations.
-    distance_ratio, distance_ratio_backward : ndarray, shape (S,), float64
-        d_r from image 1 to 2 and from image 2 to 1; 1 where the match is not the nearest in that direction, or d_r is
-        above the limit of X_L.
-    similarity_weight : ndarray, shape (S,), float64
-        t_k; 0 where the match is not in X_B.
-    mutual : ndarray, shape (S,), bool
-        Whether the match is in X_B.
-    """
-
-    location1: IntArray
-    location2: IntArray
-    distance_ratio: FloatArray
-    distance_ratio_backward: FloatArray
-    similarity_weight: FloatArray
-    mutual: BoolArray
-
-
-def standard_table(
-    forward: Neighbours,
-    backward: Neighbours,
-    location_of: tuple[IntArray, IntArray],
-    max_distance_ratio: float,
-) -> StandardTable:
-    """Collect X_L (d_r up to the limit) and X_B (mutual nearest neighbours) by location (section 4.1).
-
-    Of several features at one location the best counts: lowest d_r, highest t_k.
-    """
-    of1, of2 = location_of
-    width = int(of2.max(initial=0)) + 1
-    mutual = mutual_mask(forward, backward)
-    ratio, ratio_backward = forward.distance_ratio, backward.distance_ratio
-    ratio = np.where(ratio <= max_distance_ratio, ratio, 1.0)
-    chosen = np.flatnonzero((forward.nearest >= 0) & (mutual | (ratio < 1.0)))
-    key = of1[chosen] * width + of2[forward.nearest[chosen]]
-    keys, row = np.unique(key, return_inverse=True)
-    row = row.reshape(-1)
-    table_ratio, table_weight = np.ones(len(keys)), np.zeros(len(keys))
-    table_mutual = np.zeros(len(keys), bool)
-    np.minimum.at(table_ratio, row, ratio[chosen])
-    np.maximum.at(table_weight, row, similarity_weights(forward, backward)[chosen])
-    np.logical_or.at(table_mutual, row, mutual[chosen])
-    table_backward = np.ones(len(keys))
-    if len(keys):
-        back_key = of1[backward.nearest] * width + of2
-        place = np.minimum(np.searchsorted(keys, back_key), len(keys) - 1)
-        known = keys[place] == back_key
-        np.minimum.at(table_backward, place[known], ratio_backward[known])
-    return StandardTable(keys // width, keys % width, table_ratio, table_backward, table_weight, table_mutual)
+from epiprior.types import Float32Array, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -164,7 +85,7 @@ def two_keypoint_scores(
 
 
 def pair_columns(strengths: FloatArray, weighted: FloatArray) -> tuple[float, float, float]:
-    """Return what is known of the pair as a whole: on a hard pair the same votes mean less.
+    """Return measures of the pair as a whole: on a hard pair the same votes mean less.
 
     Parameters
     ----------
@@ -262,4 +183,4 @@ def match_table(
         *around.T,
         *(np.full(len(union), value) for value in pair),
     ]
-    return MatchTable(DEFAULT_MATCH_COLUMNS, np.column_stack(columns).astype(np.float32))
+    return MatchTable(MATCH_COLUMNS, np.column_stack(columns).astype(np.float32))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 
-import numba
 import numpy as np
 
 from epiprior.geometry import centred_columns
+from epiprior.kernels.compilation import compiled
+from epiprior.kernels.sampson import residual
+from epiprior.kernels.solvers import fill_row
 from epiprior.ranking.frames import MatchFrames
 from epiprior.types import FloatArray, IntArray
 
@@ -24,7 +26,7 @@ def frame_points(
     frame: str = "feature",
     radius: float = 6.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the eight point matches that each 2keypoint match stands for.
+    """Return the eight point matches that each 2keypoint match gives.
 
     Each of its two matches gives itself and three points at angles theta + 2 pi k / 3 and `radius` scales away, in both
     images by that match's own scale and orientation (the construction of BEEM, as we recall it).
@@ -69,18 +71,17 @@ def _around(x: FloatArray, reach: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def rough_fundamental_matrices(y1: FloatArray, y2: FloatArray) -> FloatArray:
-    """Return a rough fundamental matrix for every two 2keypoint matches.
+    """Return a rough fundamental matrix for every two 2keypoint matches, by the normalised eight-point algorithm.
 
     Parameters
     ----------
     y1, y2 : ndarray, shape (K, 8, 2), float64
-        From `frame_points`.
+        From `frame_points`; each two give 16 points.
 
     Returns
     -------
     ndarray, shape (K (K - 1) / 2, 3, 3), float64
-        Normalised eight-point algorithm on the 16 points of each two; rank 2, Frobenius norm 1. Pairs in the order
-        (0, 1), (0, 2), ..., (1, 2), ...
+        Rank 2, Frobenius norm 1. Pairs in the order (0, 1), (0, 2), ..., (1, 2), ...
 
     References
     ----------
@@ -121,18 +122,14 @@ def _condition_pairs(y: FloatArray, i: IntArray, j: IntArray) -> tuple[FloatArra
     return p * factor[:, None, None], T
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _moments(p1, p2):  # type: ignore[no-untyped-def]
     """Return A'A of the eight-point equations of each group of points."""
     out = np.zeros((len(p1), 9, 9))
     row = np.empty(9)
     for k in range(len(p1)):
         for q in range(p1.shape[1]):
-            x, y = p1[k, q, 0], p1[k, q, 1]
-            u, v = p2[k, q, 0], p2[k, q, 1]
-            row[0], row[1], row[2] = u * x, u * y, u
-            row[3], row[4], row[5] = v * x, v * y, v
-            row[6], row[7], row[8] = x, y, 1.0
+            fill_row(row, p1[k, q, 0], p1[k, q, 1], p2[k, q, 0], p2[k, q, 1])
             for a in range(9):
                 for b in range(a + 1):
                     out[k, a, b] += row[a] * row[b]
@@ -142,12 +139,11 @@ def _moments(p1, p2):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"})
+@compiled(fastmath={"contract", "arcp", "nsz"})
 def add_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no-untyped-def]
     """Add, per match, the matrices within the limit and their weights, in the order of the matrices.
 
-    All matches of the part meet one matrix at a time: the inner loop is over independent sums, which a processor takes
-    many at once without changing any.
+    The inner loop is over matches: its sums are independent, so that vector instructions change no bit.
     """
     x, y, u, v = x1[:, 0].copy(), x1[:, 1].copy(), x2[:, 0].copy(), x2[:, 1].copy()
     count = np.zeros(len(x), np.int32)
@@ -158,13 +154,8 @@ def add_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no
         f6, f7, f8 = F[6, k], F[7, k], F[8, k]
         w = weights[k]
         for m in range(len(x)):
-            l0 = f0 * x[m] + f1 * y[m] + f2
-            l1 = f3 * x[m] + f4 * y[m] + f5
-            l2 = f6 * x[m] + f7 * y[m] + f8
-            r0 = f0 * u[m] + f3 * v[m] + f6
-            r1 = f1 * u[m] + f4 * v[m] + f7
-            e = u[m] * l0 + v[m] * l1 + l2
-            hit = e * e < limit_sq * (l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1)
+            e, gradient_sq = residual(f0, f1, f2, f3, f4, f5, f6, f7, f8, x[m], y[m], u[m], v[m])
+            hit = e * e < limit_sq * gradient_sq
             count[m] += np.int32(hit)
             weighted[m] += w if hit else none
     votes[:] = count
@@ -176,7 +167,6 @@ def count_votes(
     x2: FloatArray,
     threshold: float = 3.0,
     weights: FloatArray | None = None,
-    threads: int | None = None,
 ) -> tuple[IntArray, FloatArray]:
     """Count for each match the matrices it supports: the paper's sfm.
 
@@ -190,20 +180,18 @@ def count_votes(
         A match supports a matrix when its Sampson distance is below this, pixels.
     weights : ndarray, shape (P,), float64, optional
         Weight of each matrix's vote; one by default.
-    threads : int, optional
-        Threads; by default as many as there are processors. It does not change the result.
 
     Returns
     -------
     sfm : ndarray, shape (M,), int64
-        Number of supported matrices, 0 to P.
+        Number of supported matrices, 0 to P. It does not depend on the number of threads.
     weighted : ndarray, shape (M,), float64
         Sum of their weights.
     """
     votes, weighted = np.zeros(len(x1), np.int64), np.zeros(len(x1), np.float32)
     if not len(F) or not len(x1):
         return votes, weighted.astype(np.float64)
-    # Centred coordinates keep single precision exact enough: the largest term is then of the order of the image.
+    # Single precision is exact enough for centred coordinates: the largest term is of the order of the image's size.
     c1, c2 = x1.mean(axis=0), x2.mean(axis=0)
     columns = centred_columns(F, c1, c2)
     w = np.ones(len(F), np.float32) if weights is None else weights.astype(np.float32)
@@ -213,6 +201,6 @@ def count_votes(
         part = slice(first, first + _CHUNK)
         add_votes(columns, w, p1[part], p2[part], np.float32(threshold**2), votes[part], weighted[part])
 
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         list(pool.map(work, range(0, len(x1), _CHUNK)))
     return votes, weighted.astype(np.float64)

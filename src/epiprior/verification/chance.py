@@ -17,11 +17,11 @@ import math
 import numpy as np
 from scipy.special import bdtrc
 
-from epiprior.geometry import sampson_distance
-from epiprior.matching.selection import first_of_equal
+from epiprior.geometry import first_of_equal, sampson_distance
 from epiprior.types import BoolArray, FloatArray
 
 HYPOTHESES = 100_000
+MATCHES_PER_F = 7
 _PAIRINGS = 20_000
 _PRIOR_PAIRINGS = 50.0
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import bdtrc
 
 from epiprior.geometry import sampson_distance
-from epiprior.matching.selection import one_to_one_mask
+from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.types import BoolArray, FloatArray, IntArray
 from epiprior.verification.chance import beyond_chance, chance_rate, distinct_count, expected_by_chance
 
@@ -83,7 +83,6 @@ def why_degenerate(
     x2: FloatArray,
     *,
     threshold_px: float = 1.5,
-    plane_threshold_px: float | None = None,
     rate: float | None = None,
     levels: DecidedLevels = LEVELS,
 ) -> str:
@@ -97,11 +96,6 @@ def why_degenerate(
         All the matches that F was estimated from, inliers and outliers, pixels.
     threshold_px : float
         Inlier threshold on the Sampson distance.
-    plane_threshold_px : float, optional
-        How far from the homography a match may lie and still be of the plane; 8/3 of `threshold_px` by
-        default, that is 4 px at 1.5 px. At the threshold of F itself, matches that are merely inaccurate
-        would count as off the plane (COLMAP tells planes at 4 px and not at 1.5 px, measured; USAC 1.0 uses
-        6.5 px).
     rate : float, optional
         `chance_rate` of these arguments, where it is known already.
     levels : DecidedLevels
@@ -114,61 +108,33 @@ def why_degenerate(
 
     Notes
     -----
-    The plane's homography is fitted robustly to the inliers of F. F is held to be decided if either
+    The plane's homography is fitted robustly to the inliers of F; a match is of the plane up to 8/3 of the threshold,
+    since at the threshold itself matches that are merely inaccurate would count as off it. F is decided if either
 
     - more inliers lie off the plane than chance gives: two matches off the plane fix the epipole, the others have to
       fall on its epipolar lines. Their number is held against the best of all pairs of off-plane matches
       (`epiprior.verification.chance`). How likely one agrees by chance depends on how far it lies off the plane: a
-      match that is
-      merely inaccurate, 5 px off in any direction, stays within 2 px of the line through its place on the plane with
-      probability 0.26, where a random match does with about 0.01. A feature with a match on the plane has no other; or
+      match 5 px off in any direction stays within 2 px of the line through its place on the plane with probability
+      0.26, a random match with about 0.01. A feature with a match on the plane has no other; or
     - of the matches near the plane more have a long residual along the epipolar line than across it: longer than three
       standard deviations across, and more of them than a fair coin gives. Noise and outliers have no such direction;
       shallow relief, whose parallax stays below the plane's threshold, has.
 
-    The levels were chosen by ``benchmarks/verdict.py`` on 1,872 runs of four estimators on three inputs: 96 rendered
-    pairs of seeds that the study does not use, and 60 pairs of photographs that were warped as a plane or a turning
-    camera sees them. Right F (error below 10 px, 920 runs) that are turned down; planes and rotations (720 runs) that
-    are seen as such, in brackets without the two photographs of ten that repeat along rows:
+    Points on one line, in either image, are treated likewise: the line's matches fix at most three of F's seven
+    parameters, so more than four matches beside it are needed than chance gives.
 
-    ====================================================  =======  ===========
-    test                                                  right F  undecided
-    ====================================================  =======  ===========
-    one rate for all matches, level 0.02, 1e-4 (before)   1.2 %    58 % (70 %)
-    the same at level 1                                   0.8 %    41 % (50 %)
-    rate by distance from the plane, `expected` 0.1       2.0 %    82 % (96 %)
-    the same at 1                                         1.4 %    78 % (93 %)
-    ... and 1,000 where over 20 % lie off the plane       0.4 %    78 % (93 %)
-    ... and 1,000 where over 25 % do (chosen)             0.7 %    78 % (93 %)
-    ... the same with `expected` 0.1                      0.9 %    82 % (96 %)
-    ====================================================  =======  ===========
-
-    All but the first two with a level of 1e-5 for parallax; 1e-4 and 1e-8 cost or win 1 to 2 % of the planes and
-    rotations. Of the right F on X_L 1.1 % are turned down, on `snn` 1.0 %, on ranked matches none; of wrong F 39 % are
-    (42 % before). Of synthetic planes and rotations with 20 to 200 matches and 10 to 500 outliers 97 % are seen (99 %
-    before); a limit of 20 % would leave 92 %, since with 20 matches among 100 outliers chance alone puts a fifth of the
-    inliers off the plane.
-
-    What this does not see: wrong matches along the rows of a repeated pattern agree with one epipole (of the runs on
-    the two photographs that have such 25 and 12 % are seen). What it turns down wrongly: walls whose relief shifts few
-    matches by a few pixels. Of made-up ones, with 10 to 30 % of the matches shifted by about 2 to 12 px, it turns down
-    24 % of the F with an error below 5 px (19 % before).
-
-    Checked once, after the choice, on 63 pairs of real photographs (MAGSAC++ on X_L, `snn` and ranked matches): 38 of
-    494 F with an error below 10 px are turned down (44 before), more than on rendered pairs. Most of them have a wrong
-    epipole nevertheless, since control points on the plane do not show it (24 of the 38 are off by more than 15 degrees
-    in the direction of translation). Of the 353 near the true F (normalised symmetric distance below 0.02) 6 are turned
-    down (7 before).
-
-    Points on one line, in either image, are treated likewise: the line's matches fix at most three of F's
-    seven parameters, so more than four matches beside it are needed than chance gives.
+    The levels were chosen by ``benchmarks/verdict.py`` on rendered pairs and on photographs warped as a plane or a
+    turning camera sees them: 0.7 % of the right F are turned down, 78 % of planes and rotations are seen (93 % without
+    photographs that repeat along rows: their wrong matches agree with one epipole, which is not seen). On real
+    photographs 38 of 494 F with an error below 10 px are turned down; 24 of these have a wrong epipole, which control
+    points on the plane do not show. Walls whose relief shifts few matches by a few pixels are turned down wrongly.
 
     References
     ----------
     Hartley and Zisserman, section 11.1.2 (degenerate configurations); Chum, Werner and Matas, Two-view
     geometry estimation unaffected by a dominant plane, CVPR 2005.
     """
-    plane_px = plane_threshold_px if plane_threshold_px is not None else threshold_px * 8.0 / 3.0
+    plane_px = threshold_px * 8.0 / 3.0
     rate = chance_rate(F, x1, x2, threshold_px) if rate is None else rate
     inliers = sampson_distance(F, x1, x2) < threshold_px
     y1, y2 = x1[inliers], x2[inliers]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -83,7 +83,7 @@ class Bench:
     hand_overs: HandOvers
     whole: tuple[Labelled, ...]
 
-    def estimated(self, sets: Sequence[MatchSet], estimator: str, kind: str, *, calibrated: bool = True) -> list[Row]:
+    def estimated(self, sets: Sequence[MatchSet], estimator: str, kind: str) -> list[Row]:
         """Return a row per seed: what the estimator makes of the sets, measured at F before the verdict.
 
         Parameters
@@ -92,11 +92,8 @@ class Bench:
             One per roll hypothesis.
         estimator, kind : str
             The hand-over is that of `estimator` for the input `kind`.
-        calibrated : bool
-            Whether the sets carry probabilities of the model. Else the hand-over does not cut by them.
         """
         how = self.hand_overs[estimator][kind]
-        how = how if calibrated else replace(how, min_probability=None)
         rows: list[Row] = []
         for seed in self.settings.seeds:
             if rows and is_deterministic(estimator):

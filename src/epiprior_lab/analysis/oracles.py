@@ -10,8 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from epiprior.geometry import eight_point
-from epiprior.kernels.refine import SCORE_THRESHOLD_PX, SHRINKING_THRESHOLDS_PX, refine_fundamental, weighted_score
+from epiprior.geometry import (
+    SCORE_THRESHOLD_PX,
+    SHRINKING_THRESHOLDS_PX,
+    eight_point,
+    refine_fundamental,
+    weighted_score,
+)
 from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
 
 ENOUGH_MATCHES = (8, 15)

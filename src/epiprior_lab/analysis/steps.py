@@ -115,7 +115,7 @@ def analyse_pair(
         names = {"variant": variant, "ranking": ranking}
         rankings.append({**key, **names, **bench.precision(sets[0], ranking)})
         ordered = [reordered(s, ranking) for s in sets]
-        rows = bench.estimated(ordered, settings.estimator, "default", calibrated=ranking == "final")
+        rows = bench.estimated(ordered, settings.estimator, "default")
         results += [{**key, "experiment": "ablation", **names, **row} for row in rows]
     limits: list[Row] = []
     if complete:
@@ -144,7 +144,7 @@ def _steps(bench: Bench, paper: Proposals, ours: Mapping[str, list[Row]], others
     yield from rows("standard", "lowe", bench.estimated([standard], settings.estimator, "standard"))
     for ranking in ("2keypoint", "sfm"):
         ordered = [reordered(s, ranking) for s in sets]
-        yield from rows(ranking, ranking, bench.estimated(ordered, settings.estimator, "paper", calibrated=False))
+        yield from rows(ranking, ranking, bench.estimated(ordered, settings.estimator, "paper"))
     F, supporters = _largest_support(paper, sets)
     yield from rows("single F", "none", bench.known(F))
     refined = None if F is None else oracles.refine_on_all(F, supporters, bench.whole[0].pixel)
@@ -154,7 +154,7 @@ def _steps(bench: Bench, paper: Proposals, ours: Mapping[str, list[Row]], others
     yield from rows("beyond", "final", ours[settings.beyond])
     for other in others:
         ordered = [reordered(s, "sfm") for s in sets]
-        yield from rows("sfm", "sfm", bench.estimated(ordered, other, "paper", calibrated=False))
+        yield from rows("sfm", "sfm", bench.estimated(ordered, other, "paper"))
         yield from rows("paper", "final", bench.estimated(sets, other, "paper"))
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 
-from epiprior.features.detect import View
+from epiprior.features.images import View
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import DEFAULT, PreprocessSettings
 from epiprior.rank import rank_voted
@@ -136,11 +136,6 @@ def oriented_votes(
     frames, pairs, probability, settings
         As for `epiprior.ranking.hypothesis.cast_votes`. Taken are as many matches, those with the best matches of
         2keypoints.
-
-    Returns
-    -------
-    Votes
-        `chosen` is empty: no match of 2keypoints made a matrix.
     """
     best, _ = two_keypoint_scores(pairs, probability, len(frames))
     order = np.lexsort((np.arange(len(best)), -best))
@@ -150,8 +145,7 @@ def oriented_votes(
     i, j = np.triu_indices(len(rows), 1)
     strengths = best[rows]
     sfm, weighted = count_votes(F, frames.x1, frames.x2, settings.vote_threshold, strengths[i] * strengths[j])
-    none = np.empty(0, np.int64)
-    return Votes(matrices=F, chosen=none, strengths=strengths, sfm=sfm, weighted=weighted, probability=probability)
+    return Votes(matrices=F, strengths=strengths, sfm=sfm, weighted=weighted, probability=probability)
 
 
 def reordered(matches: MatchSet, ranking: str) -> MatchSet:

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from epiprior.features.detect import FeatureSettings, Photograph, detect_features, load_photograph
+from epiprior.features.detect import detect_features
+from epiprior.features.images import Photograph, load_photograph
+from epiprior.presets import FeatureSettings
 from epiprior.types import Features
 from epiprior_lab.pairsets import Pair
 

@@ -38,7 +38,7 @@ def example_figure(pair: Pair, path: Path) -> Path:
     """Draw the best matches and epipolar lines of a pair, the baseline on the left, ours on the right."""
     settings = DrawSettings(max_matches=60, max_panel_size=PANEL_SIZE)
     images = (pair.image1, pair.image2)
-    before = estimate_fundamental(*images, estimator=ESTIMATOR, preprocess=False)
+    before = estimate_fundamental(*images, estimator=ESTIMATOR, mode="standard")
     ranked = rank_matches(*images)
     after = estimate_fundamental(*images, estimator=ESTIMATOR, ranked=ranked)
     used = next((found for found in ranked.sets if found.roll_deg == after.roll_deg), ranked.sets[0])

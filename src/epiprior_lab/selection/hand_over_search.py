@@ -33,14 +33,13 @@ Coordinates = list[tuple[str, tuple[Any, ...]]]
 SUCCESS_PX = 10.0
 STRICT_PX = 3.0
 
-# What is varied after the cut of the ranking, in this order. Nothing that the paper does not print for `paper`; no
-# spread where a ratio cuts, since it is a share of top_k.
+# What is varied after the cut of the ranking, in this order. Nothing that the paper does not print for `paper`.
 _VARIED = {
     "standard": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
     "snn": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
     "generalized": ("top_k", "threshold_px", "one_to_one", "refine", "collect"),
-    "paper": ("top_k", "min_probability", "threshold_px", "one_to_one"),
-    "default": ("top_k", "min_probability", "threshold_px", "refine", "collect", "spread", "one_to_one"),
+    "paper": ("top_k", "threshold_px", "one_to_one"),
+    "default": ("top_k", "threshold_px", "refine", "collect", "one_to_one"),
 }
 
 
@@ -321,8 +320,6 @@ def _variations(place: Place, varied: Coordinates, step: int, known: Trial | Non
         return []
     setting, values = varied[step]
     start = known.how if known else starting_point(*place)
-    if setting == "spread" and start.top_k is None:
-        return []  # spread is a share of top_k
     variations = dict.fromkeys((start, *(replace(start, **{setting: value}) for value in values)))
     return [how for how in variations if known is None or how != start]
 

@@ -147,7 +147,9 @@ def test_orders_by_one_measure(ranked):
 
 def test_variants_of_the_default_method(pairs, ranked, model):
     pair = pairs[0]
-    from epiprior.features.detect import FeatureSettings, detect_features, load_photograph
+    from epiprior.features.detect import detect_features
+    from epiprior.features.images import load_photograph
+    from epiprior.presets import FeatureSettings
 
     features = [detect_features(load_photograph(image), FeatureSettings()) for image in (pair.image1, pair.image2)]
     proposals = propose((pair.image1, pair.image2), tuple(features), PRESETS["default"], model)

@@ -13,10 +13,10 @@ import epiprior.rank
 from epiprior.errors import SettingsError
 from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.estimators.run import estimate_from_matches
-from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.features.detect import detect_features
 from epiprior.geometry import sampson_distance
 from epiprior.matching.baselines import snn_matches
-from epiprior.presets import find_preset
+from epiprior.presets import FeatureSettings, find_preset
 from epiprior.rank import rank_matches
 from epiprior.ranking.models import load_model
 from epiprior.types import MatchSet, Status

@@ -12,7 +12,8 @@ import pytest
 import epiprior.rank
 from epiprior.errors import SettingsError
 from epiprior.estimators.handover import HandOver
-from epiprior.features.detect import detect_features, load_photograph
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
 from epiprior.ranking.models import load_model
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.compute.source_graph import source_files

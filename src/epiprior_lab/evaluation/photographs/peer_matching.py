@@ -11,13 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from epiprior.errors import EpipriorError, SettingsError
-from epiprior.features.detect import (
-    FeatureSettings,
-    detect_features,
-    load_photograph,
-    normalise_descriptors,
-    unique_locations,
-)
+from epiprior.features.describe import normalise_descriptors
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
+from epiprior.features.locations import unique_locations
+from epiprior.presets import FeatureSettings
 from epiprior.types import Features, FloatArray, IntArray
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.pairsets import Pair

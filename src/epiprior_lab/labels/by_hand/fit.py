@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.geometry import MIN_MATCHES, as_points, eight_point, sampson_distance
-from epiprior.kernels.refine import refine_fundamental
+from epiprior.geometry import MIN_MATCHES, as_points, eight_point, refine_fundamental, sampson_distance
 from epiprior.types import BoolArray, FloatArray
 from epiprior.verification.degeneracy import fit_homography, homography_distance
 from epiprior_lab.labels.ground_truth import fit_to_points

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
-from epiprior.features.detect import Image
+from epiprior.features.images import Image
 from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, MatchSet, Status
 from epiprior_lab.evaluation.estimates import HandOvers
 from epiprior_lab.evaluation.photographs.estimation import run_estimator

@@ -1,13 +1,67 @@
-"""Refinement never loses score, forgives a rough start, and follows the weights."""
+"""Distances and fits are those of plain twins; refinement never loses score and follows the weights."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from epiprior.geometry import eight_point, normalise_fundamental
-from epiprior.kernels.refine import refine_fundamental, weighted_score
+import naive
+from epiprior.errors import FeatureError
+from epiprior.geometry import (
+    eight_point,
+    first_of_equal,
+    normalise_fundamental,
+    refine_fundamental,
+    sampson_distance,
+    weighted_score,
+)
 from synthetic import make_pair
+
+
+def test_distances_are_those_of_the_plain_way():
+    pair = make_pair()
+    m = pair.matches
+    wanted = [naive.sampson(pair.F, a, b) for a, b in zip(m.x1, m.x2, strict=True)]
+    assert sampson_distance(pair.F, m.x1, m.x2) == pytest.approx(wanted, rel=1e-9)
+    assert sampson_distance(-3 * pair.F.T, m.x2[::2], m.x1[::2]) == pytest.approx(wanted[::2], rel=1e-9)
+    assert np.isinf(sampson_distance(np.zeros((3, 3)), m.x1, m.x2)).all()
+    assert sampson_distance(pair.F, m.x1[:0], m.x2[:0]).shape == (0,)
+    with pytest.raises(FeatureError, match=r"\(300, 2\) and \(299, 2\)"):
+        sampson_distance(pair.F, m.x1, m.x2[1:])
+
+
+def test_a_weighted_fit_is_that_of_the_plain_way():
+    pair = make_pair(inliers=60, outliers=10)
+    m = pair.matches
+    weights = np.random.default_rng(0).uniform(0.1, 1, 70)
+    wanted = normalise_fundamental(naive.eight_point(m.x1, m.x2, weights))
+    assert eight_point(m.x1, m.x2, weights) == pytest.approx(wanted, abs=1e-9)
+    assert eight_point(m.x1[:7], m.x2[:7]) is None
+    assert eight_point(m.x1, m.x2, (np.arange(70) < 7) * 1.0) is None
+
+
+def slow(rows):
+    seen: set[bytes] = set()
+    first = []
+    for k, row in enumerate(rows):
+        if (key := (row + 0.0).tobytes()) not in seen:
+            seen.add(key)
+            first.append(k)
+    return first
+
+
+@pytest.mark.parametrize("columns", [1, 2, 4])
+@pytest.mark.parametrize("numbers", [3, 40, 10**9])
+def test_first_of_equal_is_the_slow_way(columns, numbers):
+    rng = np.random.default_rng(columns)
+    for n in (0, 1, 2, 30, 500):
+        rows = rng.integers(-numbers, numbers, (n, columns)) / 7.0
+        rows[rng.random(n) < 0.2] = rows[:1]
+        assert first_of_equal(rows).tolist() == slow(rows)
+
+
+def test_the_sign_of_zero_makes_no_difference():
+    assert first_of_equal(np.array([[0.0, 1.0], [-0.0, 1.0]])).tolist() == [0]
 
 
 def rough_start(pair, seed: int):

@@ -1,8 +1,11 @@
-"""Plausibility of F, beyond the paper: whether two ordinary photographs can have it.
+"""What speaks for F beside the number of its inliers, beyond the paper: how plausible it is, and how far they spread.
 
-Any 3 x 3 matrix of rank 2 is a fundamental matrix of some pair of cameras, but not of two photographs: their principal
-points lie near the centres of the images, and their focal lengths are alike and of the order of the image's size. An F
-that outliers made seldom passes this test, and no match takes part in it: it is evidence of its own.
+Plausibility: whether two ordinary photographs can have F. Any 3 x 3 matrix of rank 2 is a fundamental matrix of some
+pair of cameras, but not of two photographs: their principal points lie near the centres of the images, and their focal
+lengths are alike and of the order of the image's size. An F that outliers made seldom passes this test, and no match
+takes part in it: it is evidence of its own.
+
+Spread: how much of the images the inliers cover. Ten matches of one window say less than ten all over the picture.
 
 References: the two equal singular values of an essential matrix (Huang and Faugeras, 1989; Hartley and Zisserman,
 result 9.17). As a soft factor over a range of focal lengths: ours.
@@ -14,8 +17,9 @@ import math
 
 import numpy as np
 
-from epiprior.types import FloatArray, ImageSizes
+from epiprior.types import FloatArray, ImageSizes, IntArray
 
+CELL_PX = 48.0  # the reach of a few features
 FOCAL_LENGTHS = np.geomspace(0.6, 2.5, 13)
 
 
@@ -73,3 +77,14 @@ def _intrinsics(size: tuple[float, float], focal: float) -> FloatArray:
 def _cofactors(E: FloatArray) -> FloatArray:
     rows = [np.cross(E[:, i], E[:, j]) for i, j in ((1, 2), (2, 0), (0, 1))]
     return np.stack(rows, axis=1)
+
+
+def spread_of(x1: FloatArray, x2: FloatArray) -> int:
+    """Return in how many cells of 48 x 48 pixels the points (N, 2) lie: of the two images the fewer."""
+    return min(len(np.unique(np.floor(x / CELL_PX), axis=0)) for x in (x1, x2))
+
+
+def spread_groups(x1: FloatArray, x2: FloatArray) -> IntArray:
+    """Return a number for each match, the same for those that lead from one cell to one cell: shape (N,), >= 0."""
+    cells = np.floor(np.hstack([x1, x2]) / CELL_PX).astype(np.int64)
+    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)

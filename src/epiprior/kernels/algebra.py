@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from epiprior.kernels.compilation import compiled
+
 _SINGULAR = 1e-10
+_POWER_STEPS = 8
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _swap_in_pivot(A, p, rank, order):  # type: ignore[no-untyped-def]
     """Bring the largest of the entries that are left to row and column `p`; return its size."""
     best, row, column = 0.0, p, p
@@ -26,7 +28,7 @@ def _swap_in_pivot(A, p, rank, order):  # type: ignore[no-untyped-def]
     return best
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def null_space(A, rank, basis):  # type: ignore[no-untyped-def]
     """Eliminate the `rank` x 9 matrix `A` in place, with full pivoting; write a basis of its null space.
 
@@ -55,13 +57,13 @@ def null_space(A, rank, basis):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def det3(M):  # type: ignore[no-untyped-def]
     """Return the determinant of nine numbers read as a 3 x 3 matrix."""
     return M[0] * (M[4] * M[8] - M[5] * M[7]) - M[1] * (M[3] * M[8] - M[5] * M[6]) + M[2] * (M[3] * M[7] - M[4] * M[6])
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def mixed_det3(A, B):  # type: ignore[no-untyped-def]
     """Return the derivative of det(A + t B) at t = 0: the sum of B times the cofactors of A."""
     return (
@@ -77,7 +79,7 @@ def mixed_det3(A, B):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def real_roots(c0, c1, c2, c3, roots):  # type: ignore[no-untyped-def]
     """Write the real roots of ``c0 + c1 t + c2 t^2 + c3 t^3`` to `roots`, shape (3,); return how many there are."""
     size = max(abs(c0), abs(c1), abs(c2), abs(c3))
@@ -108,7 +110,7 @@ def real_roots(c0, c1, c2, c3, roots):  # type: ignore[no-untyped-def]
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def copy_matrix(source, target):  # type: ignore[no-untyped-def]
     """Copy a 3 x 3 matrix; an assignment of slices would take seconds more to compile."""
     for i in range(3):
@@ -116,7 +118,7 @@ def copy_matrix(source, target):  # type: ignore[no-untyped-def]
             target[i, j] = source[i, j]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def scale_to_unit(F):  # type: ignore[no-untyped-def]
     """Divide `F` by its Frobenius norm in place; return False where that is zero or not finite."""
     norm = 0.0
@@ -132,61 +134,77 @@ def scale_to_unit(F):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True)
-def smallest_eigenvector3(M, v):  # type: ignore[no-untyped-def]
-    """Write a unit eigenvector of the smallest, simple eigenvalue of the symmetric 3 x 3 matrix `M` to `v`."""
-    mean = (M[0, 0] + M[1, 1] + M[2, 2]) / 3.0
-    off = M[0, 1] ** 2 + M[0, 2] ** 2 + M[1, 2] ** 2
-    spread = (M[0, 0] - mean) ** 2 + (M[1, 1] - mean) ** 2 + (M[2, 2] - mean) ** 2 + 2.0 * off
-    p = math.sqrt(spread / 6.0)
-    if p <= 0.0:
-        v[0], v[1], v[2] = 0.0, 0.0, 1.0
-        return
-    a, b, c = (M[0, 0] - mean) / p, (M[1, 1] - mean) / p, (M[2, 2] - mean) / p
-    d, e, f = M[0, 1] / p, M[0, 2] / p, M[1, 2] / p
-    half_det = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / 2.0
-    angle = math.acos(max(-1.0, min(1.0, half_det))) / 3.0
-    value = 2.0 * math.cos(angle + 2.0 * math.pi / 3.0)
-    a, b, c = a - value, b - value, c - value
-    # The eigenvector is at right angles to every row of M - value I: the longest of their cross products.
-    x0, y0, z0 = d * f - e * b, e * d - a * f, a * b - d * d
-    x1, y1, z1 = d * c - e * f, e * e - a * c, a * f - d * e
-    x2, y2, z2 = b * c - f * f, f * e - d * c, d * f - b * e
-    n0, n1, n2 = x0 * x0 + y0 * y0 + z0 * z0, x1 * x1 + y1 * y1 + z1 * z1, x2 * x2 + y2 * y2 + z2 * z2
-    if n1 > n0:
-        x0, y0, z0, n0 = x1, y1, z1, n1
-    if n2 > n0:
-        x0, y0, z0, n0 = x2, y2, z2, n2
-    if n0 <= 0.0:
-        v[0], v[1], v[2] = 0.0, 0.0, 1.0
-        return
-    n = math.sqrt(n0)
-    v[0], v[1], v[2] = x0 / n, y0 / n, z0 / n
-
-
-@numba.njit(cache=True, nogil=True)
+@compiled
 def epipoles(F, right, left):  # type: ignore[no-untyped-def]
-    """Write unit vectors nearest to ``F right = 0`` and ``left' F = 0``."""
-    M = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            M[i, j] = F[0, i] * F[0, j] + F[1, i] * F[1, j] + F[2, i] * F[2, j]
-    smallest_eigenvector3(M, right)
-    for i in range(3):
-        for j in range(3):
-            M[i, j] = F[i, 0] * F[j, 0] + F[i, 1] * F[j, 1] + F[i, 2] * F[j, 2]
-    smallest_eigenvector3(M, left)
+    """Write unit vectors with ``F right = 0`` and ``left' F = 0``; zeros for an `F` of rank 1.
+
+    Of the cross products of two rows, or columns, of `F` the longest.
+    """
+    for side in range(2):
+        M, v = (F, right) if side == 0 else (F.T, left)
+        longest = 0.0
+        v[:] = 0.0
+        for i in range(3):
+            j = (i + 1) % 3
+            a = M[i, 1] * M[j, 2] - M[i, 2] * M[j, 1]
+            b = M[i, 2] * M[j, 0] - M[i, 0] * M[j, 2]
+            c = M[i, 0] * M[j, 1] - M[i, 1] * M[j, 0]
+            length = math.sqrt(a * a + b * b + c * c)
+            if length > longest:
+                longest = length
+                v[0], v[1], v[2] = a / length, b / length, c / length
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
+def smallest_vector(A, v):  # type: ignore[no-untyped-def]  # noqa: PLR0912
+    """Turn `v` into a unit eigenvector of the smallest eigenvalue of the symmetric `A`, by inverse iteration.
+
+    `v` must not be at right angles to it. Only the lower triangle of `A` is read.
+    """
+    n = len(v)
+    trace = 0.0
+    for i in range(n):
+        trace += A[i, i]
+    L = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            s = A[i, j] + (1e-13 * trace if i == j else 0.0)
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i == j:
+                L[i, i] = np.sqrt(max(s, 1e-15 * trace))
+            else:
+                L[i, j] = s / L[j, j]
+    for _ in range(_POWER_STEPS):
+        for i in range(n):
+            s = v[i]
+            for k in range(i):
+                s -= L[i, k] * v[k]
+            v[i] = s / L[i, i]
+        for i in range(n - 1, -1, -1):
+            s = v[i]
+            for k in range(i + 1, n):
+                s -= L[k, i] * v[k]
+            v[i] = s / L[i, i]
+        norm = 0.0
+        for i in range(n):
+            norm += v[i] * v[i]
+        norm = np.sqrt(norm)
+        for i in range(n):
+            v[i] /= norm
+
+
+@compiled
 def make_rank_two(F):  # type: ignore[no-untyped-def]
-    """Replace `F` by the closest matrix of rank 2 and unit norm; return False where there is none."""
-    if not scale_to_unit(F):
-        return False
-    right, left = np.empty(3), np.empty(3)
-    epipoles(F, right, left)
+    """Take the smallest singular value away, in place: F - (F v) v', v the null direction of F'F."""
+    M = np.zeros((3, 3))
     for i in range(3):
-        dot = F[i, 0] * right[0] + F[i, 1] * right[1] + F[i, 2] * right[2]
         for j in range(3):
-            F[i, j] -= dot * right[j]
-    return scale_to_unit(F)
+            for k in range(3):
+                M[i, j] += F[k, i] * F[k, j]
+    v = np.array([0.31, -0.22, 0.17])
+    smallest_vector(M, v)
+    for i in range(3):
+        Fv = F[i, 0] * v[0] + F[i, 1] * v[1] + F[i, 2] * v[2]
+        for j in range(3):
+            F[i, j] -= Fv * v[j]

@@ -3,7 +3,7 @@
 Why not the sum of the probabilities alone: matches are not independent witnesses. A window that was taken for its
 neighbour brings ten matches that agree with one another, and with every F that agrees with one of them. So matches that
 lead from one small part of image 1 to one small part of image 2 speak once, by the best of them. And F itself must be
-one that two photographs can have (`epiprior.verification.plausibility`): this evidence comes from no match at all.
+one that two photographs can have (`epiprior.verification.measures`): this evidence comes from no match at all.
 """
 
 from __future__ import annotations
@@ -12,12 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.geometry import centred_columns
-from epiprior.kernels.epiprior_kernels import score_models
-from epiprior.kernels.refine import SCORE_THRESHOLD_PX
+from epiprior.geometry import SCORE_THRESHOLD_PX, as_columns, centred_columns
+from epiprior.kernels.scores import score_models
 from epiprior.types import Float32Array, FloatArray, IntArray, MatchSet
-from epiprior.verification.plausibility import camera_plausibility
-from epiprior.verification.spread import spread_groups
+from epiprior.verification.measures import camera_plausibility, spread_groups
 
 CHANCE = 0.02
 WITHOUT_RATIO = 0.5
@@ -29,7 +27,7 @@ class Evidence:
 
     Parameters
     ----------
-    x1, x2 : ndarray, shape (N, 2), float32
+    columns : ndarray, shape (4, N), float32
         Matches, pixels from `centre1` and `centre2`, sorted by group.
     weights : ndarray, shape (N,), float32
         What a match is worth at distance zero.
@@ -39,8 +37,7 @@ class Evidence:
         Means of the points: single precision is then exact enough.
     """
 
-    x1: Float32Array
-    x2: Float32Array
+    columns: Float32Array
     weights: Float32Array
     group: IntArray
     centre1: FloatArray
@@ -52,8 +49,7 @@ class Evidence:
         order = np.argsort(group, kind="stable")
         centre1, centre2 = (x.mean(axis=0) if len(x) else np.zeros(2) for x in (x1, x2))
         return cls(
-            x1=(x1 - centre1)[order].astype(np.float32),
-            x2=(x2 - centre2)[order].astype(np.float32),
+            columns=as_columns((x1 - centre1)[order], (x2 - centre2)[order]).astype(np.float32),
             weights=weights[order].astype(np.float32),
             group=np.asarray(group[order], dtype=np.int64),
             centre1=centre1,
@@ -66,9 +62,9 @@ class Evidence:
         A group says what its best match says: w (1 - r^2 / threshold^2) at the Sampson distance r, nothing beyond.
         """
         found = np.zeros(len(models), np.float32)
-        if len(models) and len(self.x1):
-            columns = centred_columns(models, self.centre1, self.centre2)
-            score_models(columns, self.x1, self.x2, self.weights, self.group, np.float32(threshold_px**2), found)
+        if len(models) and len(self.weights):
+            centred = centred_columns(models, self.centre1, self.centre2)
+            score_models(centred, self.columns, self.weights, self.group, np.float32(threshold_px**2), found)
         return np.nan_to_num(found.astype(np.float64), nan=0.0)
 
 

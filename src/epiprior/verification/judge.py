@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from epiprior.geometry import MIN_MATCHES, sampson_distance
 from epiprior.types import FloatArray, Status
-from epiprior.verification.chance import beyond_chance, chance_rate, distinct_count
+from epiprior.verification.chance import MATCHES_PER_F, beyond_chance, chance_rate, distinct_count
 from epiprior.verification.degeneracy import LEVELS, DecidedLevels, why_degenerate
-
-_MATCHES_PER_F = 7
+from epiprior.verification.overlay import why_overlay
 
 
 def judge(
@@ -30,17 +29,19 @@ def judge(
     -------
     tuple of Status and str
         ``no_model`` below 8 distinct inliers or where chance would give as many (`epiprior.verification.chance`);
-        ``degenerate`` where they leave F undecided (`epiprior.verification.degeneracy`); else ``ok``.
+        ``degenerate`` where they lie on an overlay (`epiprior.verification.overlay`) or leave F undecided
+        (`epiprior.verification.degeneracy`); else ``ok``.
     """
     inliers = sampson_distance(F, x1, x2) < threshold_px
     distinct = distinct_count(x1[inliers], x2[inliers])
     if distinct < MIN_MATCHES:
         return Status.NO_MODEL, f"only {distinct} distinct inliers, at least {MIN_MATCHES} are needed"
     rate = chance_rate(F, x1, x2, threshold_px)
-    if not beyond_chance(distinct, distinct_count(x1, x2), rate, _MATCHES_PER_F):
+    if not beyond_chance(distinct, distinct_count(x1, x2), rate, MATCHES_PER_F):
         return (
             Status.NO_MODEL,
             f"{distinct} distinct inliers of {len(x1)} matches are no more than chance gives",
         )
-    why = why_degenerate(F, x1, x2, threshold_px=threshold_px, rate=rate, levels=levels)
+    why = why_overlay(F, x1, x2, threshold_px=threshold_px, rate=rate)
+    why = why or why_degenerate(F, x1, x2, threshold_px=threshold_px, rate=rate, levels=levels)
     return (Status.DEGENERATE, why) if why else (Status.OK, "")

@@ -1,0 +1,160 @@
+"""Hypotheses of the estimator ``epiprior``: two oriented matches, samples of the ranking, plane and parallax.
+
+All are deterministic: pairs of matches are taken in order, samples are drawn by a generator of fixed state.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epiprior.geometry import as_columns, sampson_distance
+from epiprior.kernels.solvers import fit_samples
+from epiprior.types import FloatArray, IntArray, MatchSet
+from epiprior.verification.degeneracy import fit_homography, homography_distance
+
+FRAME_RADIUS = 6.0
+SAMPLE_SIZE = 8
+_STATE = 20140
+
+
+def oriented_pairs(matches: MatchSet, count: int, min_distance_px: float) -> FloatArray:
+    """Return an F for every two of the best `count` matches that lie far enough apart in both images.
+
+    Parameters
+    ----------
+    matches : MatchSet
+        N matches, best first, one-to-one.
+    count : int
+        So many of them take part.
+    min_distance_px : float
+        Two matches nearer to each other say too little of F.
+
+    Returns
+    -------
+    ndarray, shape (P, 3, 3), float64
+        Eight-point estimates from each match and three points around it, by the scale and orientation of its features.
+
+    References
+    ----------
+    BEEM-style, our interpretation of Goshen and Shimshoni, TPAMI 2008: three points at angles 120 degrees apart, six
+    sigma away.
+    """
+    head = matches.take(slice(count))
+    i, j = np.triu_indices(len(head), 1)
+    far = np.ones(len(i), np.bool_)
+    for x in (head.x1, head.x2):
+        far &= np.linalg.norm(x[i] - x[j], axis=1) >= min_distance_px
+    corners = 4 * np.column_stack([np.repeat(i[far, None], 4, axis=1), np.repeat(j[far, None], 4, axis=1)])
+    rows = corners + np.tile(np.arange(4), 2)
+    y1 = _with_frame(head.x1, head.scale1, head.orientation1_deg)
+    y2 = _with_frame(head.x2, head.scale2, head.orientation2_deg)
+    return np.asarray(fit_samples(as_columns(y1, y2), rows))
+
+
+def _with_frame(x: FloatArray, scale: FloatArray, orientation_deg: FloatArray) -> FloatArray:
+    """Return each point and three around it, (4 N, 2)."""
+    angle = np.deg2rad(orientation_deg)[:, None] + 2 * np.pi * np.arange(3) / 3
+    offsets = (FRAME_RADIUS * scale)[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return np.concatenate([x[:, None], x[:, None] + offsets], axis=1).reshape(-1, 2)
+
+
+def progressive_rows(matches: int, samples: int) -> IntArray:
+    """Return samples of eight different matches from heads of the ranking that grow from the best to all.
+
+    Parameters
+    ----------
+    matches : int
+        How many there are, >= 8.
+    samples : int
+        How many samples.
+
+    Returns
+    -------
+    ndarray, shape (samples, 8), int64
+        Of the first samples all rows are among the best matches, of the last anywhere; the head grows by the same
+        factor from sample to sample (the schedule of PROSAC in its spirit; ours in its pace).
+    """
+    rng = np.random.default_rng(_STATE)
+    head = np.geomspace(min(2 * SAMPLE_SIZE, matches), matches, samples).astype(np.int64)
+    rows = np.empty((samples, SAMPLE_SIZE), np.int64)
+    draws = rng.random((samples, SAMPLE_SIZE))
+    for k in range(SAMPLE_SIZE):
+        # The k-th draw among the rows that are left: skip those drawn before, in increasing order.
+        row = (draws[:, k] * (head - k)).astype(np.int64)
+        for earlier in np.sort(rows[:, :k], axis=1).T:
+            row += row >= earlier
+        rows[:, k] = row
+    return rows
+
+
+def plane_and_parallax(
+    F: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    *,
+    threshold_px: float,
+    plane_px: float,
+    count: int,
+    min_share: float = 0.5,
+) -> FloatArray:
+    """Mend an F whose support lies on one plane: that plane with the epipole of every two matches off it.
+
+    Parameters
+    ----------
+    F : ndarray, shape (3, 3)
+        A hypothesis.
+    x1, x2 : ndarray, shape (N, 2), float64
+        Matches, pixels, one-to-one, best first.
+    threshold_px : float
+        Sampson distance below which a match supports F.
+    plane_px : float
+        Distance from the homography below which a match is of the plane.
+    count : int
+        So many of the best matches off the plane take part.
+    min_share : float
+        Least share of the support that must lie on one plane.
+
+    Returns
+    -------
+    ndarray, shape (P, 3, 3), float64
+        ``[e']x H``, P = count (count - 1) / 2 at most; none where no plane holds enough of the support.
+
+    References
+    ----------
+    Chum, Werner and Matas, Two-view geometry estimation unaffected by a dominant plane, CVPR 2005; Hartley and
+    Zisserman, algorithm 13.2. That every two matches are tried, in place of samples, is ours.
+    """
+    support = sampson_distance(F, x1, x2) < threshold_px
+    H = fit_homography(x1[support], x2[support], plane_px)
+    if H is None:
+        return np.empty((0, 3, 3))
+    on_plane = homography_distance(H, x1, x2) < plane_px
+    if np.count_nonzero(on_plane & support) < min_share * np.count_nonzero(support):
+        return np.empty((0, 3, 3))
+    off = np.flatnonzero(~on_plane)[:count]
+    return models_of_plane(H, x1[off], x2[off])
+
+
+def models_of_plane(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
+    """Return ``[e']x H`` for the epipole e' at which the parallaxes of every two of the matches meet.
+
+    Parameters
+    ----------
+    H : ndarray, shape (3, 3)
+        Homography of the plane, ``x2 ~ H x1``.
+    x1, x2 : ndarray, shape (N, 2), float64
+        Matches off the plane.
+    """
+    ones = np.ones((len(x1), 1))
+    # The line through where the plane would have put a point and where it is holds the epipole.
+    lines = np.cross(np.hstack([x1, ones]) @ H.T, np.hstack([x2, ones]))
+    lines /= np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-300)
+    i, j = np.triu_indices(len(x1), 1)
+    epipoles = np.cross(lines[i], lines[j])
+    length = np.linalg.norm(epipoles, axis=1)
+    e = epipoles[length > 0] / length[length > 0, None]
+    S = np.zeros((len(e), 3, 3))
+    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -e[:, 2], e[:, 1], -e[:, 0]
+    models = (S - np.swapaxes(S, 1, 2)) @ (H / np.linalg.norm(H))
+    size = np.linalg.norm(models, axis=(1, 2), keepdims=True)
+    return np.asarray(models / np.maximum(size, 1e-300))

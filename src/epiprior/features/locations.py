@@ -1,0 +1,71 @@
+"""Features by location: those that differ only in orientation, twins, are one location."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from epiprior.features.images import Photograph
+from epiprior.types import Features, FloatArray, IntArray
+
+
+def unique_locations(features: Features) -> tuple[IntArray, IntArray]:
+    """Find the features that differ only in orientation.
+
+    SIFT gives several orientations at one location and scale; at a fixed orientation those twins are identical.
+
+    Returns
+    -------
+    first : ndarray, shape (L,), int64
+        Index of the first feature of each (location, scale), ascending; the detector lists the strongest first.
+    location : ndarray, shape (N,), int64
+        For each feature, the index into `first` of its (location, scale).
+    """
+    if not len(features):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    key = np.column_stack([features.xy, features.scale])
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return first[order].astype(np.int64), rank[inverse.reshape(-1)]
+
+
+@dataclass(frozen=True)
+class Locations:
+    """Features of one image, grouped by (location, scale).
+
+    Parameters
+    ----------
+    xy : ndarray, shape (L, 2), float64
+        Working pixels.
+    scale : ndarray, shape (L,), float64
+        Sigma, working pixels.
+    first : ndarray, shape (L,), int64
+        First feature of each location.
+    of_feature : ndarray, shape (N,), int64
+        Location of each feature.
+    twins, start : ndarray, int64
+        Features of location l are ``twins[start[l]:start[l + 1]]``.
+    """
+
+    xy: FloatArray
+    scale: FloatArray
+    first: IntArray
+    of_feature: IntArray
+    twins: IntArray
+    start: IntArray
+
+    def first_twin(self, features: IntArray) -> IntArray:
+        """Return the first feature at the location of each of some `features`: what matches name it by."""
+        return self.first[self.of_feature[features]]
+
+
+def locate(features: Features, working: Photograph) -> Locations:
+    """Group the features of an image; `working` gives its change of coordinates."""
+    first, of_feature = unique_locations(features)
+    twins = np.argsort(of_feature, kind="stable").astype(np.int64)
+    start = np.searchsorted(of_feature[twins], np.arange(len(first) + 1)).astype(np.int64)
+    xy, scale = working.to_working(features.xy)[first], features.scale[first] / working.factor
+    return Locations(xy, scale, first, of_feature, twins, start)

@@ -1,0 +1,52 @@
+"""One-to-one matches of a ranking: a feature may be used once. Beyond the paper, whose rankings are many-to-many."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epiprior.errors import FeatureError
+from epiprior.kernels.compilation import compiled
+
+
+@compiled
+def _walk(feature1, feature2, used1, used2):  # type: ignore[no-untyped-def]
+    keep = np.zeros(len(feature1), np.bool_)
+    for m in range(len(feature1)):
+        i, j = feature1[m], feature2[m]
+        if not used1[i] and not used2[j]:
+            used1[i] = used2[j] = True
+            keep[m] = True
+    return keep
+
+
+def one_to_one_mask(feature1: NDArray[np.int64], feature2: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which matches remain if a match is skipped whose feature, in either image, was used before.
+
+    Parameters
+    ----------
+    feature1, feature2 : ndarray, shape (N,), int
+        Features of the matches, best match first; any numbers >= 0.
+
+    Returns
+    -------
+    ndarray, shape (N,), bool
+        A greedy matching: no match could be added to it.
+
+    Raises
+    ------
+    FeatureError
+        If shapes disagree or a number is negative.
+    """
+    first, second = np.asarray(feature1, dtype=np.int64), np.asarray(feature2, dtype=np.int64)
+    if first.shape != second.shape or first.ndim != 1:
+        raise FeatureError(f"feature1 and feature2 have shapes {first.shape} and {second.shape}, expected (N,) twice")
+    if not len(first):
+        return np.zeros(0, dtype=np.bool_)
+    if min(first.min(), second.min()) < 0:
+        raise FeatureError(f"feature numbers must not be negative, found {min(first.min(), second.min())}")
+    # Dense numbers keep the memory at the number of matches, whatever numbers the caller uses.
+    unique1, dense1 = np.unique(first, return_inverse=True)
+    unique2, dense2 = np.unique(second, return_inverse=True)
+    mask: NDArray[np.bool_] = _walk(dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_))
+    return mask

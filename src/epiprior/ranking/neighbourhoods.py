@@ -1,0 +1,140 @@
+"""Step 5a: the neighbours of a feature, with which it makes 2keypoints (paper, section 4.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from epiprior.kernels.compilation import compiled
+from epiprior.types import FloatArray, IntArray
+
+NEAREST, WITHIN, SAME_CLUSTER = 1, 2, 4
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """The neighbours of every feature of one image.
+
+    Parameters
+    ----------
+    start : ndarray, shape (N + 1,), int64
+        Neighbours of feature i are the entries ``start[i]:start[i + 1]``.
+    neighbour : ndarray, shape (E,), int64
+        Feature, ascending within each neighbourhood; never at the same location.
+    rule : ndarray, shape (E,), uint8
+        By which of the paper's three methods: 1 nearest, 2 within a distance, 4 nearest of the same cluster, or a sum.
+    """
+
+    start: IntArray
+    neighbour: IntArray
+    rule: NDArray[np.uint8]
+
+
+def nearest_points(points: FloatArray, queries: FloatArray, count: int) -> tuple[FloatArray, IntArray]:
+    """Return distances and indices of the `count` points nearest to each query, fewer if there are no more.
+
+    Both of shape (Q, min(count, P)). Ties are broken by index, so that the order does not depend on the tree.
+    """
+    k = min(count, len(points))
+    distance, index = (each.reshape(len(queries), k) for each in cKDTree(points).query(queries, k=k))
+    order = np.lexsort((index, np.round(distance, 9)), axis=1)
+    return np.take_along_axis(distance, order, 1), np.take_along_axis(index, order, 1).astype(np.int64)
+
+
+def neighbourhoods(
+    xy: FloatArray,
+    scale: FloatArray,
+    label: IntArray,
+    *,
+    nearest: int = 5,
+    within: float = 5.0,
+    nearest_of_cluster: int = 1,
+    max_within: int = 40,
+) -> Neighbourhoods:
+    """Find the neighbours of every feature by the paper's three methods.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2), float64
+        Locations.
+    scale : ndarray, shape (N,), float64
+        Sigma, in the same unit.
+    label : ndarray, shape (N,), int64
+        Cluster of each feature.
+    nearest : int
+        K_1: so many nearest features.
+    within : float
+        K_2: all features within this many sigma,
+    max_within : int
+        but at most so many, the nearest ones. The paper has no such limit; the largest features need one.
+    nearest_of_cluster : int
+        K_3: so many nearest features of the same cluster.
+    """
+    n = len(xy)
+    if n < 2:
+        return Neighbourhoods(np.zeros(n + 1, np.int64), np.empty(0, np.int64), np.empty(0, np.uint8))
+    # Some of the nearest may lie at the very same place and do not count: a 2keypoint has a length.
+    distance, index = nearest_points(xy, xy, max(nearest, max_within) + 4)
+    members = np.argsort(label, kind="stable")
+    cluster_start = np.searchsorted(label[members], np.arange(label.max() + 2))
+    clusters = (label, members, cluster_start)
+    return Neighbourhoods(
+        *_collect(index, distance, xy, scale, *clusters, nearest, within, max_within, nearest_of_cluster)
+    )
+
+
+@compiled
+def _nearest_members(i, xy, group, count):  # type: ignore[no-untyped-def]
+    """Return the `count` nearest members of a cluster to feature i, fewer if it has no more."""
+    distance = np.empty(len(group))
+    for q in range(len(group)):
+        d = np.hypot(xy[group[q], 0] - xy[i, 0], xy[group[q], 1] - xy[i, 1])
+        distance[q] = d if d > 1e-6 else np.inf
+    order = np.argsort(distance, kind="mergesort")
+    found = 0
+    while found < min(count, len(group)) and np.isfinite(distance[order[found]]):
+        found += 1
+    return group[order[:found]]
+
+
+@compiled
+def _collect(index, distance, xy, scale, label, members, cluster_start, k1, k2, max_within, k3):  # type: ignore[no-untyped-def]
+    n = len(xy)
+    capacity = index.shape[1] + k3
+    start = np.zeros(n + 1, np.int64)
+    neighbour = np.empty(n * capacity, np.int64)
+    rule = np.empty(n * capacity, np.uint8)
+    end = 0
+    for i in range(n):
+        first = end
+        rank = 0
+        for q in range(index.shape[1]):
+            if distance[i, q] <= 1e-6:
+                continue
+            flag = NEAREST if rank < k1 else 0
+            if distance[i, q] <= k2 * scale[i] and rank < max_within:
+                flag |= WITHIN
+            rank += 1
+            if flag == 0:
+                break
+            neighbour[end], rule[end] = index[i, q], flag
+            end += 1
+        group = members[cluster_start[label[i]] : cluster_start[label[i] + 1]]
+        if len(group) > 1:
+            for j in _nearest_members(i, xy, group, k3):
+                known = False
+                for e in range(first, end):
+                    if neighbour[e] == j:
+                        rule[e] |= SAME_CLUSTER
+                        known = True
+                if not known:
+                    neighbour[end], rule[end] = j, SAME_CLUSTER
+                    end += 1
+        order = np.argsort(neighbour[first:end], kind="mergesort")
+        neighbour[first:end] = neighbour[first:end][order]
+        rule[first:end] = rule[first:end][order]
+        start[i + 1] = end
+    return start, neighbour[:end].copy(), rule[:end].copy()

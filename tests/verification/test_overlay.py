@@ -1,0 +1,54 @@
+"""Pictures that share a watermark, bars of a screen or a time stamp: what does not move decides nothing."""
+
+from __future__ import annotations
+
+import cv2
+import pytest
+
+from epiprior.matching.baselines import standard_matches
+from epiprior.types import Status
+from pictures import relief_pair, texture
+from synthetic import run
+
+
+def put(picture, text, x, y, colour=255):
+    cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.7, colour, 2, cv2.LINE_AA)
+
+
+def with_overlay(picture, kind):
+    picture = picture.copy()
+    if kind == "tiled watermark":
+        for y in range(40, 380, 75):
+            for x in range(0, 480, 160):
+                put(picture, "(c) Sample", x + 8, y)
+    elif kind == "bars of a screen":
+        picture[:48], picture[-56:] = 30, 235
+        for i, word in enumerate(("12:47", "Photos", "Search", "LTE 83%")):
+            put(picture, word, 10 + 120 * i, 31, 220)
+            put(picture, word[::-1], 10 + 120 * i, 340, 20)
+    else:
+        put(picture, "2019-07-21 14:32:05", 140, 345)
+    return picture
+
+
+def unrelated(kind, seed):
+    """Two pictures as smooth as photographs, which have nothing but the overlay in common."""
+    return (with_overlay(cv2.GaussianBlur(texture(seed=s), (0, 0), 2.0), kind) for s in (2 * seed, 2 * seed + 1))
+
+
+KINDS = [("tiled watermark", 0), ("tiled watermark", 1), ("bars of a screen", 0), ("time stamp", 2)]
+
+
+@pytest.mark.parametrize(("kind", "seed"), KINDS)
+@pytest.mark.parametrize("estimator", ["epiprior", "magsac++"])
+def test_text_from_what_cannot_move_with_the_scene_decides_nothing(kind, seed, estimator):
+    found = run(estimator, standard_matches(*unrelated(kind, seed)))
+    assert found.status is Status.DEGENERATE
+    assert "does not move with the scene (a watermark, time stamp or border)" in found.message
+
+
+@pytest.mark.parametrize("kind", sorted({kind for kind, _ in KINDS}))
+@pytest.mark.parametrize("estimator", ["epiprior", "magsac++"])
+def test_a_scene_that_moves_behind_an_overlay_decides_f(kind, estimator):
+    found = run(estimator, standard_matches(*(with_overlay(picture, kind) for picture in relief_pair())))
+    assert found.status is Status.OK
