@@ -63,8 +63,9 @@ def set_up(
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a file name may hold bytes that are no text
             stream.reconfigure(errors="backslashreplace")
-    # OpenCV has lines of its own on damaged pictures; ours names the file. It is imported later, and reads this then.
+    # Read by OpenCV and pycolmap, which are imported later: their lines on stderr do not name the file.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "FATAL")
+    os.environ.setdefault("GLOG_minloglevel", "1")
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("epiprior: %(message)s"))
     logger = logging.getLogger("epiprior")

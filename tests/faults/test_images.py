@@ -62,7 +62,9 @@ def test_a_damaged_picture_is_read_and_a_warning_names_it(tmp_path, caplog, capf
     path = tmp_path / f"{damage}.jpg"
     path.write_bytes(data[:middle] + garbage + rest)
     for _ in range(2):
-        np.testing.assert_array_equal(load_photograph(path).grey[:48], load_photograph(tmp_path / "whole.jpg").grey[:48])
+        np.testing.assert_array_equal(
+            load_photograph(path).grey[:48], load_photograph(tmp_path / "whole.jpg").grey[:48]
+        )
     (record,) = caplog.records
     assert (record.levelname, record.name) == ("WARNING", "epiprior.features.images")
     assert f"{damage}.jpg: damaged or cut" in record.message

@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import pytest
 
-from synthetic import run
 from epiprior.matching.baselines import standard_matches
 from epiprior.types import Status
 from pictures import relief_pair, texture
+from synthetic import run
 
 
 def put(picture, text, x, y, colour=255):

@@ -16,7 +16,7 @@ def info(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="Name or folder.", show_default=False)],
     as_json: Json = False,
 ) -> None:
-    """Check a model's files and tell what it was trained on, its columns, metrics and versions.
+    """Check a model's files and print what it was trained on, its columns, metrics and versions.
 
     epiprior info default
 

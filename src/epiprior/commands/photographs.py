@@ -61,7 +61,8 @@ def match(
     if not any(len(s) for s in ranked.sets):
         from epiprior.features.shortage import explain_shortage
 
-        complain(f"no matches: {explain_shortage((image1, image2), (None, None), settings.features)}")
+        why = explain_shortage((image1, image2), (None, None), settings.features)
+        complain(f"no matches: {why or 'no feature resembles one of the other image'}")
         raise typer.Exit(NO_GEOMETRY)
     say(f"{out}: {counts}")
 

@@ -30,7 +30,7 @@ def say(text: str) -> None:
 
 
 def drop_stdout() -> None:
-    """Send what could not be written nowhere, lest the interpreter complain once more at its end."""
+    """Discard what could not be written, so that the interpreter does not fail on it again when it ends."""
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (OSError, ValueError):

@@ -75,7 +75,7 @@ class _Panel:
         return (points + 0.5) * self.factor - 0.5 + [self.left, self.top]
 
     def holds(self, points: FloatArray) -> NDArray[np.bool_]:
-        """Tell which points lie in the image as given; NaN does not."""
+        """Return which points lie in the image as given; NaN does not."""
         inside = (points >= -0.5) & (points <= np.array(self.size) - 0.5)
         return np.asarray(inside.all(axis=1))
 

@@ -37,7 +37,7 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
         Name of the image in the database: its path relative to COLMAP's image folder.
     roots : int
         How many times the root was taken of the entries of the stored descriptors, >= 0: 1 for COLMAP's default
-        normalisation ``L1_ROOT``, 0 for ``L2``. The database does not tell.
+        normalisation ``L1_ROOT``, 0 for ``L2``. The database does not say which.
 
     Returns
     -------

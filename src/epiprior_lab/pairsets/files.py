@@ -16,7 +16,7 @@ from PIL import Image as PillowImage
 from PIL import UnidentifiedImageError
 
 from epiprior.errors import EpipriorError
-from epiprior.features.detect import read_image
+from epiprior.features.images import read_image
 from epiprior.types import Float32Array, FloatArray
 from epiprior_lab.pairsets.cameras import Camera, CameraError
 

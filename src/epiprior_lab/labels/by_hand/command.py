@@ -27,8 +27,9 @@ def label(
 
     out = out or Path(f"{image1.stem}-{image2.stem}.csv")
     session = LabelSession(image1, image2, out, force=force)
-    known = session.count()
-    typer.echo(f"{out}: continues {_points(known)}" if known else f"Points are saved to {out.absolute()}")
+    known, file = session.count(), typer.format_filename(out)
+    place = typer.format_filename(out.absolute())
+    typer.echo(f"{file}: continues {_points(known)}" if known else f"Points are saved to {place}")
     with LabelServer(session, port) as server:
         typer.echo(f"Label at {server.url}")
         typer.echo("End with the page's Done, or Ctrl+C here (what the page did not save is lost).")
@@ -40,7 +41,7 @@ def label(
         except KeyboardInterrupt:
             typer.echo()
     count = session.count()
-    typer.echo(f"{out}: nothing was saved" if count is None else f"{out}: {_points(count)}")
+    typer.echo(f"{file}: nothing was saved" if count is None else f"{file}: {_points(count)}")
 
 
 def _points(count: int) -> str:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from epiprior.errors import EpipriorError, ImageError, OutputError
-from epiprior.features.detect import read_image
+from epiprior.features.images import read_image
 from epiprior.io.output import check_output, replacing
 from epiprior.types import FloatArray
 from epiprior_lab.labels.by_hand.fit import MIN_JUDGED, fit_pairs

@@ -149,7 +149,7 @@ def check_set(
     with progress_bar("checking", len(read_pair_set(folder).pairs)) as advance:
         pair_set = check_pair_set(folder, on_pair=advance)
     kinds = sorted({pair.truth for pair in pair_set.pairs})
-    typer.echo(f"{folder}: {_counted(pair_set)}, truth: {', '.join(kinds)}")
+    typer.echo(f"{typer.format_filename(folder)}: {_counted(pair_set)}, truth: {', '.join(kinds)}")
 
 
 def sets(
@@ -179,7 +179,7 @@ def _import(out: Path, max_side: int, find: Callable[[], list[FoundPair]]) -> No
     from epiprior_lab.pairsets.importers import check_out, write_found
 
     check_out(out)
-    typer.echo(f"{out}: {_counted(write_found(out, find(), max_side=max_side))}")
+    typer.echo(f"{typer.format_filename(out)}: {_counted(write_found(out, find(), max_side=max_side))}")
 
 
 def _counted(pair_set: PairSet) -> str:

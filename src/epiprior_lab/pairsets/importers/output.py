@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.errors import OutputError
-from epiprior.features.detect import read_image
+from epiprior.features.images import read_image
 from epiprior.types import FloatArray
 from epiprior_lab.pairsets import Camera, DatasetError, PairSet, image_size, read_pair_set, write_control_points
 from epiprior_lab.pairsets.files import (

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from epiprior.errors import SettingsError
-from epiprior.features.detect import read_image
+from epiprior.features.images import read_image
 from epiprior.types import FloatArray, IntArray
 from epiprior_lab.pairsets import Camera, DatasetError, image_size
 from epiprior_lab.pairsets.cameras import median_angle_deg
