@@ -66,9 +66,6 @@ class _InThisProcess(Executor):
         return future
 
 
-# --- processes beside this one
-
-
 @contextlib.contextmanager
 def _in_processes(workers: int) -> Iterator[Pool]:
     with warnings.catch_warnings():
@@ -96,9 +93,6 @@ def _follow_parent(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-# --- a cluster
 
 
 @contextlib.contextmanager
