@@ -19,7 +19,6 @@ from epiprior.errors import SettingsError
 STUDY = Path("params.yaml")
 PHOTOGRAPHS = Path("benchmarks/real/params.yaml")
 
-Split = Literal["train", "validation", "test"]
 Preset = Literal["paper", "default"]
 Input = Literal["standard", "snn", "generalized", "paper", "default"]
 

@@ -66,9 +66,6 @@ class _InThisProcess(Executor):
         return future
 
 
-# --- processes beside this one
-
-
 @contextlib.contextmanager
 def _in_processes(workers: int) -> Iterator[Pool]:
     with warnings.catch_warnings():
@@ -98,9 +95,6 @@ def _follow_parent(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-# --- a cluster
-
-
 @contextlib.contextmanager
 def _on_cluster(address: str) -> Iterator[Pool]:
     try:
@@ -118,7 +112,7 @@ def _on_cluster(address: str) -> Iterator[Pool]:
         try:
             client.wait_for_workers(1, timeout=_FIRST_WORKER_SECONDS)
         except TimeoutError as error:
-            raise SettingsError(f"scheduler = {address!r}: no worker came in {_FIRST_WORKER_SECONDS} s") from error
+            raise SettingsError(f"scheduler = {address!r}: no worker within {_FIRST_WORKER_SECONDS} s") from error
         # A task carries its own arguments; there is no graph that could be smaller.
         warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
         executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]

@@ -135,7 +135,8 @@ def _code_digest(source: bytes) -> bytes:
 
 def _encode(value: Any) -> Iterator[bytes]:
     """Yield bytes that are equal for equal values only; pickle depends on object identity as well."""
-    text, parts, array = f"{type(value).__module__}.{type(value).__qualname__}:", [], b""
+    text, array = f"{type(value).__module__}.{type(value).__qualname__}:", b""
+    parts: list[Any] = []
     if value is None or isinstance(value, (bool, int, float, str, bytes, np.generic)):
         text += repr(value)
     elif isinstance(value, Path):

@@ -76,6 +76,9 @@ def map_tasks(
 ) -> list[Any]:
     """Call ``function(**task.payload)`` for every task; return the results in the order of the tasks.
 
+    An interrupt ends workers on this machine at once; those of a cluster end their task. Stored results are used when
+    the run is started again.
+
     Parameters
     ----------
     function : callable
@@ -102,11 +105,6 @@ def map_tasks(
         cannot be read, or the workers are lost.
     SettingsError
         If `workers` is below one, a name is repeated, a payload has no stable key, or the scheduler cannot be used.
-
-    Notes
-    -----
-    An interrupt ends workers on this machine at once; those of a cluster end their task. Stored results are used when
-    the run is started again.
     """
     if workers < 1:
         raise SettingsError(f"workers = {workers}: expected 1 or more")

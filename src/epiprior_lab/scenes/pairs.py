@@ -82,5 +82,5 @@ def render_pair(
             shadows = cast_shadows(world, sun, subject.frame.foot, view=view)
             images.append(take(render_image(world, camera, sun, shadows, view=view), draw_photograph(rng), rng))
             depths.append(render_depth(world, camera, view=view))
-        return RenderedPair(*images, *depths, *cameras)
+        return RenderedPair(images[0], images[1], depths[0], depths[1], *cameras)
     raise SceneError(f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes")

@@ -83,7 +83,7 @@ class Cluster:
         self.workers = []
 
 
-def wait_until(condition, seconds=120):
+def wait_until(condition, seconds=300):
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline
@@ -209,7 +209,7 @@ def test_a_scheduler_without_workers_is_named(work, tmp_path, monkeypatch):
     with contextlib.closing(Cluster(tmp_path)) as cluster:
         cluster.ensure(workers=0)
         with (
-            pytest.raises(SettingsError, match=r"no worker came within 0\.2 s"),
+            pytest.raises(SettingsError, match=r"no worker within 0\.2 s"),
             open_pool(workers=1, scheduler=cluster.address),
         ):
             pass
