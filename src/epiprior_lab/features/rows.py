@@ -152,7 +152,7 @@ def rows_to_bytes(rows: PairRows) -> bytes:
     columns: dict[str, Any] = {
         name: getattr(rows, name) for name in ("pair_id", "scene", "preset", "roll_deg", "united_labels")
     }
-    parts = (rows.two_keypoints, rows.table, rows.united.union, rows.united.frames)
+    parts: tuple[Any, ...] = (rows.two_keypoints, rows.table, rows.united.union, rows.united.frames)
     for prefix, part in zip(_STORED, parts, strict=True):
         columns |= {f"{prefix}.{field.name}": getattr(part, field.name) for field in fields(part)}
     return npz_bytes({name: np.asarray(value) for name, value in columns.items()})
