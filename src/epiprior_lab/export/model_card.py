@@ -73,18 +73,7 @@ over all rows or pairs, `deviation` over the folds, `calibrated` after Platt sca
 
 
 def model_card(manifest: Mapping[str, Any]) -> str:
-    """Return the text of the card.
-
-    Parameters
-    ----------
-    manifest : mapping
-        The manifest, but for the hashes of the files.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
+    """Return the card, Markdown, of a manifest, which may still lack the hashes of the files."""
     return _CARD.format(
         name=manifest["name"],
         preset=manifest["preset"],
@@ -97,10 +86,9 @@ def model_card(manifest: Mapping[str, Any]) -> str:
 
 
 def _file_row(target: str, item: Mapping[str, Any]) -> str:
-    family = _FAMILY_WORDS.get(item["family"], item["family"])
-    a, b = item["calibration"]["a"], item["calibration"]["b"]
-    count = len(item["features"])
-    return f"| `{target}.onnx` | {_TARGET_WORDS[target]} | {family} | {count} | {a:.4f} | {b:.4f} |"
+    family, scaling = _FAMILY_WORDS.get(item["family"], item["family"]), item["calibration"]
+    numbers = f"{len(item['features'])} | {scaling['a']:.4f} | {scaling['b']:.4f}"
+    return f"| `{target}.onnx` | {_TARGET_WORDS[target]} | {family} | {numbers} |"
 
 
 def _table(target: str, metrics: Mapping[str, Any]) -> str:

@@ -33,20 +33,16 @@ class PairRows:
 
     Parameters
     ----------
-    pair_id, scene : str
-        Of the pair.
-    preset : str
-        Whose features they are.
+    pair_id, scene, preset : str
+        The pair, its scene, and the preset whose features they are.
     roll_deg : float
         The roll hypothesis, degrees.
     two_keypoints : TwoKeypointMatches
         Matches of 2keypoints with their descriptors 2kpmd.
     table : StandardTable
         X_L and X_B.
-    united : UnitedMatches
-        X, X_L and X_B together.
-    united_labels : ndarray, shape (M,), bool
-        Which of them are right.
+    united, united_labels : UnitedMatches and ndarray, shape (M,), bool
+        X, X_L and X_B together, and which of them are right.
     """
 
     pair_id: str
@@ -136,10 +132,8 @@ def match_rows(rows: PairRows, probability: FloatArray) -> tuple[Float32Array, B
 
     Returns
     -------
-    rows : ndarray, shape (M, C), float32
-        The preset's `match_columns`.
-    labels : ndarray, shape (M,), bool
-        Which matches are right.
+    rows, labels : ndarray, shape (M, C), float32, and (M,), bool
+        The preset's `match_columns`, and which matches are right.
     """
     settings = find_preset(rows.preset)
     votes = hypothesis.cast_votes(rows.united.frames_of_x(), rows.two_keypoints, probability, settings)
@@ -152,7 +146,7 @@ def rows_to_bytes(rows: PairRows) -> bytes:
     columns: dict[str, Any] = {
         name: getattr(rows, name) for name in ("pair_id", "scene", "preset", "roll_deg", "united_labels")
     }
-    parts = (rows.two_keypoints, rows.table, rows.united.union, rows.united.frames)
+    parts: tuple[Any, ...] = (rows.two_keypoints, rows.table, rows.united.union, rows.united.frames)
     for prefix, part in zip(_STORED, parts, strict=True):
         columns |= {f"{prefix}.{field.name}": getattr(part, field.name) for field in fields(part)}
     return npz_bytes({name: np.asarray(value) for name, value in columns.items()})

@@ -16,7 +16,7 @@ from epiprior_lab.training.tracked_runs import tracked_runs
 def main() -> None:
     """Write ``data/training/<preset>/`` and ``data/timings/train-<preset>.csv`` for every preset."""
     params = load_study()
-    folders = {preset: Path("data/features") / preset for preset in params.features.presets}
+    folders: dict[str, Path] = {preset: Path("data/features") / preset for preset in params.features.presets}
     trained = train(folders, params.train, workers=default_workers(), store=Path("data/.tasks/train"))
     timings = Path("data/timings")
     timings.mkdir(parents=True, exist_ok=True)

@@ -93,10 +93,8 @@ def train(
         By preset, the rows of the training pairs as the stage `features` writes them.
     params : TrainParams
         Seeds, folds, families and caps.
-    workers : int
-        Processes.
-    store : Path
-        Folder of intermediate results, so that a killed run resumes.
+    workers, store : int and Path
+        As for `map_tasks`: processes, and the folder from which a killed run resumes.
 
     Returns
     -------

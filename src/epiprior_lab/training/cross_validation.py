@@ -25,16 +25,12 @@ class CrossValidation:
 
     Parameters
     ----------
-    fold : ndarray, shape (N,), int64
-        Fold of each row.
-    probability : ndarray, shape (N,), float64
-        Each by the classifier that was not trained on the row's fold.
+    fold, probability : ndarray, shape (N,), int64 and float64
+        Fold of each row, and the probability by the classifier that was not trained on that fold.
     calibrated : ndarray, shape (N,), float64, or None
         The same after Platt scaling fitted on the rows of the other folds. None for folds of rows.
-    metrics : mapping
-        Each of `METRICS` over all rows: ranking metrics are means over pairs. NaN where undefined.
-    calibrated_metrics : mapping
-        The same of `calibrated`; empty without.
+    metrics, calibrated_metrics : mapping
+        Each of `METRICS` over all rows, NaN where undefined; of `calibrated`, empty without.
     fold_metrics : tuple of mapping
         The same over the rows of each fold. A fold of rows holds a part of every pair: no ranking metrics there.
     classifiers : tuple of bytes
