@@ -425,7 +425,8 @@ def _limits(m: Material) -> Iterator[Block]:
         return
     records = m.tables["limits"].to_dict("records")
     known = {"champion": m.params.champion, "success_px": m.params.success_px}
-    yield say("limits", **records[0], **known, nobody=records[0]["failing"] - records[0]["anyone"])
+    name = "limits" if records[0]["failing"] else "no limits"
+    yield say(name, **records[0], **known, nobody=records[0]["failing"] - records[0]["anyone"])
     titles = {
         "pairs": "pairs",
         "failing": "failing",
