@@ -101,16 +101,7 @@ def cascade_figure(
 ) -> None:
     """Draw the trade-off of every estimator, one panel each: all candidate rules in hindsight, and the chosen one.
 
-    Parameters
-    ----------
-    runs : mapping of str to DataFrame
-        For ``validation`` and ``test`` the runs of all estimators, as from `cascade_rule.paired_runs`.
-    rule, params : CascadeRule, CascadeParams
-        The chosen rule, the candidates and the tolerance.
-    threshold_px : float
-        Of success, pixels.
-    path : Path
-        PNG file.
+    `runs` are from `cascade_rule.paired_runs`, for ``validation`` and ``test``.
     """
     estimators = order_of(next(iter(runs.values()))["estimator"])
     columns = min(_COLUMNS, len(estimators))

@@ -17,18 +17,10 @@ import epiprior
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of texts; cells may hold Markdown.
+    """A table of texts; cells may hold Markdown, and a row of a single cell is a heading for the rows below it.
 
-    Parameters
-    ----------
-    head : sequence of str
-        Titles of the columns.
-    rows : sequence of sequence of str
-        One cell per column; a row of a single cell is a heading for the rows below it.
-    texts : int
-        So many columns in front are text, the others are numbers.
-    fold : str
-        Title under which the HTML folds the table; empty: it stays open.
+    So many columns in front are `texts`, the others are numbers. The HTML folds the table under the title `fold`, if
+    any.
     """
 
     head: Sequence[str]

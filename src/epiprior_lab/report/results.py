@@ -26,20 +26,10 @@ class ReportError(EpipriorError):
 
 
 class Results:
-    """The results of an evaluation.
+    """The results of an evaluation, compared by ``group`` (families of scenes) or by ``difficulty``.
 
-    Parameters
-    ----------
-    tables : Tables
-        Of all groups, in the order of the report.
-    by : str
-        What a reader compares: ``group`` (families of scenes) or ``difficulty``.
-    hard : sequence of str
-        The groups of `by` that are hard.
-    apart : sequence of str
-        Groups that are part of no total and no difficulty.
-    draws, seed : int
-        Of the bootstrap, which draws whole scenes.
+    Groups in `apart` are part of no total and no difficulty; `hard` are those of `by` that are hard; `draws` and `seed`
+    are of the bootstrap, which draws whole scenes.
 
     Attributes
     ----------

@@ -47,20 +47,8 @@ _SETTINGS = ("max_distance_ratio", "top_k", "one_to_one", "threshold_px", "refin
 class Material:
     """Everything that a report shows.
 
-    Parameters
-    ----------
-    results, params : Results, ReportParams
-        What was found, and what is shown of it.
-    tables : mapping of str to DataFrame
-        By the names of their CSV files; those that there are.
-    figures : mapping of str to str
-        Paths of figures and pictures, relative to the page, by their names; those that there are.
-    kind : str
-        ``study``, ``photographs`` or ``folder``: of the prose.
-    rule : str
-        Of the cascade, in words.
-    cases : sequence of Case
-        Of the gallery; `kept` is the page of the same one on photographs.
+    `tables` are by the names of their CSV files, `figures` paths relative to the page; those that there are. `kind` is
+    one of `report.TITLES`, `rule` that of the cascade in words, `kept` the page of the gallery on photographs.
     """
 
     results: Results
@@ -112,16 +100,9 @@ def all_sections(material: Material) -> list[Section]:
 def summary_table(
     successes: pd.DataFrame, cascade: pd.DataFrame | None, groups: Sequence[str], px: Sequence[float]
 ) -> Table:
-    """Return the small table: per input, with the estimator that serves it best, shares of pairs that succeed.
+    """Return the small table: per input shares of pairs that succeed, a column per threshold `px` and group.
 
-    Parameters
-    ----------
-    successes, cascade : DataFrame
-        As from `tables.success_table` and `cascade.cascade_table`.
-    groups : sequence of str
-        Columns, for each of the thresholds.
-    px : sequence of float
-        Thresholds; the estimator is the best over all pairs below the first, pixels.
+    Every input has the estimator that serves it best over all pairs below the first threshold.
     """
     columns = ["threshold_px", "group", "estimator", "pairs", "input", "successes"]
     table = successes[columns]

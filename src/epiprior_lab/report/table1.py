@@ -22,33 +22,16 @@ LISTS = (
 
 
 def named_pairs(pairs: pd.DataFrame, quantiles: Sequence[float]) -> list[str]:
-    """Return pairs at quantiles of the share of right matches in X_L, from hard to easy: by rule, not by outcome.
-
-    Parameters
-    ----------
-    pairs : DataFrame
-        `Tables.pairs` of one group.
-    quantiles : sequence of float
-        In [0, 1].
-    """
+    """Return `pairs` of one group at quantiles of the share of right matches in X_L: by rule, not by outcome."""
     ordered = pairs.dropna(subset="right_share").sort_values(["right_share", "pair_id"], kind="stable")["pair_id"]
     places = dict.fromkeys(round(q * (len(ordered) - 1)) for q in quantiles)
     return [str(ordered.iloc[place]) for place in places]
 
 
 def table1_page(tables: Tables, quantiles: Sequence[float], success_px: float, *, picture: str) -> Page:
-    """Return the table as a page.
+    """Return the table as a page; `picture` is the contact sheet of its pairs, relative to the page.
 
-    Parameters
-    ----------
-    tables : Tables
-        Of all groups.
-    quantiles : sequence of float
-        Of `named_pairs`.
-    success_px : float
-        An estimator succeeds on a pair where most of its seeds are below this error, pixels.
-    picture : str
-        Contact sheet of the pairs, relative to the page.
+    An estimator succeeds on a pair where most of its seeds have an error below `success_px`.
     """
     rates = Rates(tables)
     sheet = Picture(path=picture, alt="The pairs, a row per group, in the order of the tables")

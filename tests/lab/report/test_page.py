@@ -20,7 +20,8 @@ PAGE = Page(
 def test_markdown():
     assert render_markdown(PAGE) == (
         "# A page\n\nOf `code` and X_L & <b>.\n\n## Numbers\n\nSome prose.\n\n### Folded\n\n"
-        "| who | n |\n|---|---:|\n| **all** |  |\n| **a** | 1 |\n\n## Side by side\n\n![a](a.png)\n\n![b](b.png)\n\n*B*\n"
+        "| who | n |\n|---|---:|\n| **all** |  |\n| **a** | 1 |\n\n"
+        "## Side by side\n\n![a](a.png)\n\n![b](b.png)\n\n*B*\n"
     )
 
 
