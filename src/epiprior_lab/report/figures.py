@@ -258,7 +258,7 @@ def status_figure(statuses: pd.DataFrame, groups: Sequence[str], path: Path) -> 
         for axis, (kind, title) in zip(axes[0], panels, strict=True):
             tallest = 0.0
             for k, (name, look) in enumerate(looks.items()):
-                part = statuses[statuses["input"] == name].set_index("group").reindex(groups)
+                part = statuses[statuses["input"] == name].set_index("group").reindex(list(groups))
                 number = part[kind].where(part[kind] >= MIN_BAR)
                 bottom, above = (
                     (100 * part[f"{kind}_{status}"] / number).fillna(0.0).to_numpy(np.float64)

@@ -104,13 +104,15 @@ def render_markdown(page: Page) -> str:
     return "\n".join(lines) + "\n"
 
 
+_WRAPPER = textwrap.TextWrapper(110, break_long_words=False, break_on_hyphens=False)
+_ITEM = textwrap.TextWrapper(110, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+
+
 def _prose(text: str) -> list[str]:
     """Return paragraphs and lists with lines of at most 110 characters."""
     lines: list[str] = []
     for line in text.splitlines():
-        indent = "  " if line.startswith("- ") else ""
-        kept = {"break_long_words": False, "break_on_hyphens": False}
-        lines += textwrap.wrap(line, 110, subsequent_indent=indent, **kept) or [""]
+        lines += (_ITEM if line.startswith("- ") else _WRAPPER).wrap(line) or [""]
     return lines
 
 

@@ -86,7 +86,7 @@ def make_tables(results: Results, params: ReportParams, extras: Extras) -> dict[
         made["classifiers"] = tables.classifier_table(extras.classifiers)
     if extras.hand_over is not None:
         made["hand_over"] = extras.hand_over
-    made["bounds"] = judge(extras.bounds, results=results, tables=made)
+    made["bounds"] = judge(list(extras.bounds), results=results, tables=made)
     return {name: table for name, table in made.items() if len(table)}
 
 

@@ -59,7 +59,9 @@ class Results:
     @property
     def hard_pairs(self) -> BoolArray:
         """Pairs of the hard groups."""
-        return np.any([self.masks[name] for name in self.hard] or [np.zeros(len(self.scenes), np.bool_)], axis=0)
+        return np.asarray(
+            np.any([self.masks[name] for name in self.hard] or [np.zeros(len(self.scenes), np.bool_)], axis=0)
+        )
 
     @property
     def inputs_of_all(self) -> list[str]:
@@ -102,7 +104,7 @@ class Results:
     def per_scene(self, values: FloatArray, member: BoolArray) -> FloatArray:
         """Return means over the pairs of each scene, by scene: pairs of one scene are alike."""
         means = pd.Series(values[member]).groupby(self.scenes[member], sort=True).mean()
-        return means.to_numpy(np.float64)
+        return np.asarray(means, np.float64)
 
     def interval(self, name: str, interval: Interval, member: BoolArray, factor: float = 1.0) -> dict[str, float]:
         """Return the columns `name`, `name`_low and `name`_high of an interval, times `factor`.

@@ -119,7 +119,7 @@ def summary_table(
         best = str(of_input["estimator"].iloc[0])
         own = table[(table["input"] == name) & (table["estimator"] == best)].set_index(["group", "threshold_px"])
         who.append(["cascade of X_L and ours" if name == CASCADE else input_title(name), best])
-        values.append([100 * float(own.loc[(g, t), "successes"]) / sizes[g] for t in px for g in groups])
+        values.append([100 * own["successes"][g, t] / sizes[g] for t in px for g in groups])
     texts = zip(*(best_bold(column) for column in zip(*values, strict=True)), strict=True)
     head = ["matches", "estimator", *(f"{group_title(g, int(sizes[g]))}, {t:g} px" for t in px for g in groups)]
     return Table(head=head, rows=[[*names, *cells] for names, cells in zip(who, texts, strict=True)], texts=2)
@@ -157,6 +157,10 @@ def _successes(m: Material) -> Iterator[Block]:
     if len(at):
         yield _success_block(at, f"Every set, below {success_px:g} px")
     yield m.picture("curves")
+
+
+def _named(row: Row) -> dict[str, Any]:
+    return {str(name): value for name, value in row.items()}
 
 
 def _compact(at: pd.DataFrame, m: Material) -> Table:
@@ -239,7 +243,7 @@ def _poses(m: Material) -> Iterator[Block]:
     cameras = at.drop_duplicates("group").set_index("group")["cameras"].to_dict()
     head = [_names(m), *(f"{group_title(g, cameras.get(g, 0))}, {t:g}°" for g, t in places)]
     yield Table(head=head, rows=rows)
-    columns = {}
+    columns: dict[str, str] = {}
     for limit in degrees:
         columns |= {f"auc_{limit:g}": f"pose, AUC {limit:g}°", f"scene_auc_{limit:g}": "per scene"}
     columns["distance_recall"] = f"distance < {m.params.distance_recall:g}"
@@ -278,7 +282,7 @@ def _calibration(m: Material) -> Iterator[Block]:
             title = group_title(group)
             if row["input"] == OURS and not np.isnan(row.get("gap_stated", np.nan)):
                 name = "calibration of all" if group == ALL else "calibration of a group"
-                sentences.append(say(name, title=title[0].upper() + title[1:], **row))
+                sentences.append(say(name, title=title[0].upper() + title[1:], **_named(row)))
             rows.append(
                 [input_title(row["input"]), title, f"{row['matches']:,}", f"{row['right']:,}"]
                 + [number(row["brier_score"], 4), number(row["expected_calibration_error"], 4)]
@@ -407,7 +411,7 @@ def _limits(m: Material) -> Iterator[Block]:
     records = m.tables["limits"].to_dict("records")
     known = {"champion": m.params.champion, "success_px": m.params.success_px}
     name = "limits" if records[0]["failing"] else "no limits"
-    yield say(name, **records[0], **known, nobody=records[0]["failing"] - records[0]["anyone"])
+    yield say(name, **_named(records[0]), **known, nobody=records[0]["failing"] - records[0]["anyone"])
     titles = {
         "pairs": "pairs",
         "failing": "failing",

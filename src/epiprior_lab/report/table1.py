@@ -44,9 +44,9 @@ def table1_page(tables: Tables, quantiles: Sequence[float], success_px: float, *
 
 
 def _pair_table(tables: Tables, rates: Rates, group: str, pair_id: str, success_px: float) -> Table:
-    found = tables.rankings
-    found = found[(found["group"] == group) & (found["pair_id"] == pair_id)].set_index(["input", "ranking"])
-    lists = [found.loc[(name, ranking)] for _, name, ranking, _ in LISTS]
+    found = tables.rankings[(tables.rankings["group"] == group) & (tables.rankings["pair_id"] == pair_id)]
+    by_place = {(row["input"], row["ranking"]): row for row in found.to_dict("records")}
+    lists = [by_place[name, ranking] for _, name, ranking, _ in LISTS]
     pairs = tables.pairs
     place = int(np.flatnonzero((pairs["group"] == group) & (pairs["pair_id"] == pair_id))[0])
     rows = [

@@ -165,8 +165,9 @@ def ranking_table(results: Results) -> pd.DataFrame:
     index = pd.MultiIndex.from_frame(results.tables.pairs[columns])
     ranked = results.tables.rankings
     ranked = ranked.assign(**{f"precision_{depth}": ranked[right_column(depth)] / depth for depth in DEPTHS})
-    parts = {
-        key: part.set_index(columns).reindex(index) for key, part in ranked.groupby(["input", "ranking"], sort=False)
+    parts: dict[tuple[str, str], pd.DataFrame] = {
+        (str(name), str(ranking)): part.set_index(columns).reindex(index)
+        for (name, ranking), part in ranked.groupby(["input", "ranking"], sort=False)
     }
     keys = sorted(parts, key=lambda key: (key[0] not in BASELINES, key[0] == OURS))
     base = next((parts[key] for key in (("standard", "final"), *keys) if key in parts), None)
@@ -194,7 +195,7 @@ def calibration_sums(calibration: pd.DataFrame) -> CalibrationBins:
     """Return the sums over all pairs of the rows, bin by bin."""
     sums = calibration.groupby("bin", sort=True)[["count", "right", "probability", "squared_error"]].sum()
     kinds = {"count": np.int64, "right": np.int64, "probability": np.float64, "squared_error": np.float64}
-    return CalibrationBins(**{name: sums[name].to_numpy(kind) for name, kind in kinds.items()})  # type: ignore[arg-type]
+    return CalibrationBins(**{name: sums[name].to_numpy(kind) for name, kind in kinds.items()})
 
 
 def calibration_table(results: Results) -> pd.DataFrame:
