@@ -37,10 +37,13 @@ def evaluate(
     """Evaluate the exported model on pair sets of your own, against X_L and snn."""
     from epiprior_lab.compute.tasks import SCHEDULER_VARIABLE
     from epiprior_lab.evaluation.folder import ESTIMATOR, evaluate_folder
+    from epiprior_lab.report.report import write_folder_report
 
     if scheduler:
         os.environ[SCHEDULER_VARIABLE] = scheduler
-    evaluate_folder(folder, sets=sets, estimators=estimators or (ESTIMATOR,), seeds=seeds, out=out)
+    found = evaluate_folder(folder, sets=sets, estimators=estimators or (ESTIMATOR,), seeds=seeds, out=out)
+    write_folder_report(found, out)
+    typer.echo(f"{out / 'index.html'}")
 
 
 @app.command("link-sets")

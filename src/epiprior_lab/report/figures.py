@@ -1,63 +1,215 @@
-"""Figures of what comes before the estimators: rankings, roll densities, calibration."""
+"""Figures of the report: one per idea, for rendered scenes and photographs alike; each function writes one PNG file."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from scipy import stats
 
-from epiprior_lab.report.study import Study, order_of
-from epiprior_lab.report.style import MUTED, RANKING_LOOKS, SERIES, legend, look_of, save, styled
-from epiprior_lab.report.tables import STATED, calibration_sums, stated_bins
+from epiprior.types import FloatArray
+from epiprior_lab.evaluation.records import RANKS, right_column
+from epiprior_lab.evaluation.statistics import success_curve
+from epiprior_lab.report.results import Results
+from epiprior_lab.report.style import (
+    GRID,
+    INK,
+    INPUT_LOOKS,
+    MUTED,
+    RANKING_LOOKS,
+    SERIES,
+    Look,
+    legend,
+    look_of,
+    save,
+    styled,
+)
+from epiprior_lab.report.tables import ENOUGH_IN_BIN, calibration_sums
+from epiprior_lab.report.text import ALL, METRIC_TITLES, PEER_TITLES, TARGET_TITLES, group_title, order_of, setting
 
-ROLL_PANELS = 6
+CURVE_LIMIT_PX = 20.0
+MIN_BAR = 30  # a share of fewer runs says little
+FEW_RUNS = 5
+DRAWN_METRICS = ("precision_top_100", "average_precision", "accuracy", "precision")
+_DECIDED = {"better": "#d55e00", "open": "#8b919b", "worse": "#0072b2"}
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
+_SETTINGS = {
+    "max_distance_ratio": "distance ratio,\nat most",
+    "top_k": "best matches,\nat most",
+    "threshold_px": "inlier\nthreshold, px",
+    "one_to_one": "one-to-one\nmatches",
+    "refine": "F refined",
+    "collect": "support\ncollected",
+}
 
 
-def ranking_figure(study: Study, path: Path) -> Path:
-    """Draw cumulative precision over the rank, mean over pairs: a row per preset, a column per family."""
-    curves = study.ranking_curves
-    presets, rankings = order_of(curves["preset"]), order_of(curves["ranking"])
-    curves = curves.assign(precision=curves["right"] / curves["rank"])
-    means = curves.groupby(["preset", "family", "ranking", "rank"], sort=True)["precision"].mean()
-    rows, columns = len(presets), len(study.families)
-    with styled(rows, columns, (2.75 * columns, 2.3 * rows + 0.6), sharex=True, sharey=True) as (
-        figure,
-        axes,
-    ):
-        for row, preset in zip(axes, presets, strict=True):
-            for axis, family in zip(row, study.families, strict=True):
-                for k, ranking in enumerate(rankings):
-                    curve = means.loc[(preset, family, ranking)]
-                    look = look_of(RANKING_LOOKS, ranking, k)
-                    axis.plot(curve.index, curve, color=look.colour, ls=look.line)
+def _looks(names: Sequence[str], looks: Mapping[str, Look] = INPUT_LOOKS) -> dict[str, Look]:
+    """Return the looks of series in the order of `looks`, others last."""
+    known = sorted(names, key=lambda name: list(looks).index(name) if name in looks else len(looks))
+    return {name: look_of(looks, name, k) for k, name in enumerate(known)}
+
+
+def _names(axis: Axes, names: Sequence[str]) -> FloatArray:
+    """Put names along the y axis, the first on top, and return their heights."""
+    y = np.arange(len(names), dtype=np.float64)[::-1]
+    for between in y[1:] + 0.5:
+        axis.axhline(between, color=GRID, lw=0.8)
+    axis.set_yticks(y, list(names))
+    axis.tick_params(axis="y", labelsize=8.5, labelcolor=INK)
+    axis.set_ylim(-0.6, len(names) - 0.4)
+    axis.grid(axis="y", visible=False)
+    return y
+
+
+def success_figure(successes: pd.DataFrame, groups: Sequence[str], thresholds_px: Sequence[float], path: Path) -> None:
+    """Draw successes, a dot per estimator and input: a row per threshold, a column per group."""
+    estimators, looks = order_of(successes["estimator"]), _looks(order_of(successes["input"]))
+    size = (2.6 * len(groups) + 0.8, (0.27 * len(estimators) + 0.75) * len(thresholds_px) + 0.4)
+    with styled(len(thresholds_px), len(groups), size, sharey=True) as (figure, axes):
+        for row, threshold in zip(axes, thresholds_px, strict=True):
+            for axis, group in zip(row, groups, strict=True):
+                part = successes[(successes["group"] == group) & (successes["threshold_px"] == threshold)]
+                y, pairs = _names(axis, estimators), int(part["pairs"].max())
+                for k, (name, look) in enumerate(looks.items()):
+                    own = part[part["input"] == name].set_index("estimator").reindex(estimators)
+                    height = y + 0.12 * ((len(looks) - 1) / 2 - k)  # equal numbers must not hide each other
+                    axis.errorbar(
+                        own["successes"], height, xerr=own["successes_sd"], fmt=look.marker, color=look.colour,
+                        ms=6 if look.marker == "o" else 4.5, lw=0.9, mec="white", mew=0.6, zorder=3,
+                    )  # fmt: skip
+                axis.set(xlim=(-0.03 * pairs, 1.03 * pairs), xlabel=f"pairs of {pairs} below {threshold:g} px")
+                axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))  # pairs are whole
+                if row is axes[0]:
+                    axis.set_title(group_title(group))
+        legend(figure, list(looks.values()), markers=True)
+        save(figure, path)
+
+
+def curve_figure(results: Results, path: Path) -> None:
+    """Draw successful pairs over the threshold: a row per estimator, a column per group.
+
+    Bars are one standard deviation over seeds, as in the paper's figure of results. Inputs of peers are left out.
+    """
+    looks = {name: look for name, look in _looks(results.inputs_of_all).items() if name not in PEER_TITLES}
+    groups = results.main[:-1] or results.main
+    grid, bars = np.linspace(0, CURVE_LIMIT_PX, 201), np.arange(2.5, CURVE_LIMIT_PX, 2.5)
+    rows, columns = len(results.estimators), len(groups)
+    size = (2.55 * columns + 0.4, 1.4 * rows + 0.9)
+    with styled(rows, columns, size, sharex=True, sharey="col") as (figure, axes):
+        for row, estimator in zip(axes, results.estimators, strict=True):
+            names = results.inputs(estimator)
+            for axis, group in zip(row, groups, strict=True):
+                member = results.masks[group]
+                for k, (name, look) in enumerate(looks.items()):
+                    if name not in names:
+                        continue
+                    errors = results.errors.values(estimator, name)[member]
+                    axis.plot(grid, success_curve(errors, grid)[0], color=look.colour, ls=look.line, lw=1.5)
+                    at = bars + 0.22 * (k - (len(looks) - 1) / 2)  # side by side, so that bars do not hide bars
+                    mean, deviation = success_curve(errors, at)
+                    axis.errorbar(at, mean, deviation, fmt="none", ecolor=look.colour, elinewidth=0.8, alpha=0.8)
+                axis.axvline(10, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
+                axis.set(xlim=(0, CURVE_LIMIT_PX), ylim=(0, 1.03 * member.sum()))
+                axis.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+                if row is axes[0]:
+                    axis.set_title(group_title(group))
+                if row is axes[-1]:
+                    axis.set_xlabel("threshold, px")
+            row[0].set_ylabel(estimator, fontweight="bold")
+        figure.supylabel("successful pairs", fontsize=9, color=MUTED)
+        legend(figure, list(looks.values()))
+        save(figure, path)
+
+
+def duel_figure(duels: pd.DataFrame, champion: str, groups: Sequence[str], path: Path) -> None:
+    """Draw how many pairs one estimator is ahead of every other: a row per threshold, a column per group and input."""
+    thresholds, rivals = list(dict.fromkeys(duels["threshold_px"])), order_of(duels["estimator"])
+    places = [(group, name) for group in groups for name in order_of(duels["input"])]
+    size = (2.5 * len(places) + 1.0, (0.25 * len(rivals) + 0.85) * len(thresholds) + 0.3)
+    with styled(len(thresholds), len(places), size, sharey=True, sharex=True) as (figure, axes):
+        for row, threshold in zip(axes, thresholds, strict=True):
+            for axis, (group, name) in zip(row, places, strict=True):
+                here = (duels["group"] == group) & (duels["input"] == name) & (duels["threshold_px"] == threshold)
+                part, y = duels[here].set_index("estimator").reindex(rivals), _names(axis, rivals)
+                axis.axvline(0, color=MUTED, lw=0.9, zorder=1)
+                for decided, colour in _DECIDED.items():
+                    chosen = (part["decided"] == decided).to_numpy()
+                    at = part[chosen]
+                    spans = [at["difference"] - at["difference_low"], at["difference_high"] - at["difference"]]
+                    axis.errorbar(
+                        at["difference"], y[chosen], xerr=spans, fmt="o", color=colour, ms=5, lw=1.3, mec="white",
+                        mew=0.6, zorder=3,
+                    )  # fmt: skip
+                if row is axes[0]:
+                    axis.set_title(f"{group_title(group)}\n{look_of(INPUT_LOOKS, name, 0).label}")
+                if row is axes[-1]:
+                    axis.set_xlabel("pairs ahead")
+            row[0].set_ylabel(f"below {threshold:g} px", fontweight="bold")
+        titles = {"better": f"{champion} is better", "open": "not decided", "worse": f"{champion} is worse"}
+        legend(figure, [Look(title, _DECIDED[decided]) for decided, title in titles.items()], markers=True)
+        save(figure, path)
+
+
+def ranking_figure(results: Results, path: Path) -> None:
+    """Draw the share of right matches over the rank, mean over labelled pairs: a column per group.
+
+    The first row compares the inputs, each in its own order; below, a row per ranked input compares its rankings.
+    """
+    table = results.tables.rankings
+    ranked = [name for name in order_of(table["input"]) if table.loc[table["input"] == name, "ranking"].nunique() > 1]
+    inputs = _looks([name for name in results.inputs_of_all if (table["input"] == name).any()])
+    rankings = _looks(order_of(table["ranking"]), RANKING_LOOKS)
+    kinds: list[tuple[str, dict[tuple[str, str], Look]]] = [
+        ("inputs", {(name, "final"): look for name, look in inputs.items()}),
+        *((look_of(INPUT_LOOKS, n, 0).label, {(n, r): look for r, look in rankings.items()}) for n in ranked),
+    ]
+    groups = [(name, results.rows_of(table, member)) for name, member in results.groups(results.main)]
+    groups = [(name, part) for name, part in groups if len(part)]
+    columns = [right_column(rank) for rank in RANKS]
+    size = (2.75 * len(groups) + 2.2, 2.3 * len(kinds) + 0.4)
+    with styled(len(kinds), len(groups), size, sharex=True, sharey=True) as (figure, axes):
+        for row, (title, looks) in zip(axes, kinds, strict=True):
+            for axis, (group, of_group) in zip(row, groups, strict=True):
+                for (name, ranking), look in looks.items():
+                    part = of_group[(of_group["input"] == name) & (of_group["ranking"] == ranking)]
+                    if len(part):
+                        curve = part[columns].to_numpy(np.float64).mean(axis=0) / np.array(RANKS)
+                        axis.plot(RANKS, curve, color=look.colour, ls=look.line, label=look.label)
                 axis.set(xscale="log", ylim=(0, 1.02), xlim=(1, 10_000))
                 axis.set_xticks([1, 10, 100, 1000, 10_000], ["1", "10", "100", "1,000", "10,000"])
                 if row is axes[0]:
-                    axis.set_title(family)
+                    axis.set_title(
+                        f"{group_title(group)} ({of_group[['group', 'pair_id']].drop_duplicates().shape[0]})"
+                    )
                 if row is axes[-1]:
                     axis.set_xlabel("matches, best first")
-            row[0].set_ylabel(f"preset {preset}\nshare of right matches", fontweight="bold")
-        legend(figure, RANKING_LOOKS, [n for n in rankings if n in RANKING_LOOKS])
-        return save(figure, path)
+            row[0].set_ylabel(f"{title}\nshare of right matches", fontweight="bold")
+            row[-1].legend(loc="center left", bbox_to_anchor=(1, 0.5))
+        save(figure, path)
 
 
-def roll_figure(study: Study, path: Path, panels: int = ROLL_PANELS) -> Path:
-    """Draw the density of the roll for the pairs with the largest true roll, on a full turn."""
-    first = study.roll.drop_duplicates("pair_id").set_index("pair_id")
-    turn = first["true_roll_deg"].abs().round(6).sort_values(ascending=False, kind="stable")
-    step = max(1, len(turn[turn > 20]) // panels)  # from half a turn down to slight ones
-    chosen = list(turn.index[: step * panels : step])
-    columns = min(3, len(chosen))
-    rows = -(-len(chosen) // columns)
+def roll_figure(densities: Mapping[str, tuple[FloatArray, FloatArray, float]], path: Path) -> None:
+    """Draw densities on a full turn: by pair its angles, the density, 1/degree, and the true roll, degrees."""
+    columns = min(3, len(densities))
+    rows = -(-len(densities) // columns)
     with styled(rows, columns, (3.4 * columns, 2.1 * rows + 0.4)) as (figure, axes):
         flat = [axis for row in axes for axis in row]
-        for axis, pair_id in zip(flat, chosen, strict=False):
-            part = study.roll[study.roll["pair_id"] == pair_id]
-            _roll_panel(axis, part)
-            axis.set_title(str(pair_id))
-        for axis in flat[len(chosen) :]:
+        for axis, (pair_id, (angles, density, true)) in zip(flat, densities.items(), strict=False):
+            angle = (angles + 180) % 360 - 180  # 0 is in the middle
+            order = np.argsort(angle, kind="stable")
+            axis.fill_between(angle[order], density[order], color="#0072b2", alpha=0.18, lw=0)
+            axis.plot(angle[order], density[order], color="#0072b2", label="density over X_L and X_B")
+            axis.axvline(true, color="#d55e00", ls=(0, (4, 2)), lw=1.5, label="true roll, from the cameras")
+            axis.set(xlim=(-180, 180), ylim=(0, None), title=pair_id)
+            axis.set_xticks([-180, -90, 0, 90, 180])
+        for axis in flat[len(densities) :]:
             axis.set_visible(False)
         for axis in axes[-1]:
             axis.set_xlabel("roll of image 2 against image 1, degrees")
@@ -65,53 +217,221 @@ def roll_figure(study: Study, path: Path, panels: int = ROLL_PANELS) -> Path:
             row[0].set_ylabel("density, 1/degree")
         handles, labels = flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(handles))
-        return save(figure, path)
+        save(figure, path)
 
 
-def _roll_panel(axis: Axes, part: pd.DataFrame) -> None:
-    # Angles are shown from -180 to 180 degrees, where 0 is the middle.
-    angle = (part["angle_deg"].to_numpy() + 180) % 360 - 180
-    order = np.argsort(angle, kind="stable")
-    density = part["density"].to_numpy()[order]
-    axis.fill_between(angle[order], density, color="#0072b2", alpha=0.18, lw=0)
-    axis.plot(angle[order], density, color="#0072b2", label="density over X_L and X_B")
-    true = float(part["true_roll_deg"].iloc[0])
-    if np.isfinite(true):
-        axis.axvline(true, color="#d55e00", ls=(0, (4, 2)), lw=1.5, label="true roll, from the cameras")
-    axis.set(xlim=(-180, 180), ylim=(0, None))
-    axis.set_xticks([-180, -90, 0, 90, 180])
-
-
-def calibration_figure(study: Study, path: Path) -> Path:
-    """Draw, per preset, the share of right matches over the stated probability, and how many state it."""
-    presets = order_of(study.calibration["preset"])
-    with styled(2, len(presets), (4.2 * len(presets), 5.2), sharex=True) as (figure, axes):
-        for k, preset in enumerate(presets):
-            of_preset = study.calibration[study.calibration["preset"] == preset]
-            upper, lower = axes[0][k], axes[1][k]
+def calibration_figure(results: Results, path: Path) -> None:
+    """Draw, per ranked input, the share of right matches over the stated probability, and how many state it."""
+    table = results.tables.calibration
+    names = order_of(table["input"])
+    with styled(2, len(names), (4.2 * len(names), 5.2), sharex=True) as (figure, axes):
+        for k, name in enumerate(names):
+            of_input, upper, lower = table[table["input"] == name], axes[0][k], axes[1][k]
             upper.plot([0, 1], [0, 1], color=MUTED, lw=1, ls=(0, (2, 2)))
-            for i, family in enumerate(study.families):
-                _reliability(upper, of_preset[of_preset["family"] == family], family, SERIES[i % len(SERIES)])
-            sums = calibration_sums(of_preset)
+            for i, (group, member) in enumerate(results.groups(results.main[:-1] or results.main)):
+                sums = calibration_sums(results.rows_of(of_input, member))
+                enough = sums.count >= ENOUGH_IN_BIN
+                stated, right = (values[enough] / sums.count[enough] for values in (sums.probability, sums.right))
+                upper.plot(stated, right, color=SERIES[i % len(SERIES)], marker="o", ms=3.5, lw=1.4, label=group)
+            sums = calibration_sums(results.rows_of(of_input, results.masks[ALL]))
             width = 1 / len(sums.count)
             place = (np.arange(len(sums.count)) + 0.5) * width
             lower.bar(place, sums.count, width * 0.92, color="#c9ced6", label="matches")
             lower.bar(place, sums.right, width * 0.92, color="#0072b2", label="right matches")
             lower.set(yscale="log", xlim=(0, 1), xlabel="stated probability")
-            upper.set(title=f"preset {preset}", ylim=(0, 1))
-            gap, stated = sums.expected_calibration_error, stated_bins(sums).expected_calibration_error
-            note = f"Brier {sums.brier_score:.4f}, calibration error {gap:.4f},\n"
-            note += f"of matches from {STATED:g} up {stated:.4f}"
+            upper.set(title=look_of(INPUT_LOOKS, name, k).label, ylim=(0, 1))
+            note = f"Brier {sums.brier_score:.4f}, calibration error {sums.expected_calibration_error:.4f}"
             upper.set_title(note, loc="right", fontsize=8, fontweight="normal")
         axes[0][0].set_ylabel("share of right matches")
         axes[1][0].set_ylabel("matches")
         axes[0][0].legend(loc="upper left")
         axes[1][0].legend(loc="upper right")
-        return save(figure, path)
+        save(figure, path)
 
 
-def _reliability(axis: Axes, part: pd.DataFrame, label: str, colour: str) -> None:
-    sums = calibration_sums(part)
-    enough = sums.count >= 20  # the share of a few matches says nothing
-    stated = sums.probability[enough] / sums.count[enough]
-    axis.plot(stated, sums.right[enough] / sums.count[enough], color=colour, marker="o", ms=3.5, lw=1.4, label=label)
+def status_figure(statuses: pd.DataFrame, groups: Sequence[str], path: Path) -> None:
+    """Draw the shares of right and of wrong F that are turned down, ``no_model`` paler; no bar below `MIN_BAR`."""
+    looks = _looks([name for name in order_of(statuses["input"]) if name != ALL])
+    width = 0.8 / max(len(looks), 1)
+    panels = (("right", "right F turned down"), ("wrong", "wrong F turned down"))
+    with styled(1, 2, (2.2 + 1.7 * len(groups), 3.4)) as (figure, axes):
+        for axis, (kind, title) in zip(axes[0], panels, strict=True):
+            tallest = 0.0
+            for k, (name, look) in enumerate(looks.items()):
+                part = statuses[statuses["input"] == name].set_index("group").reindex(list(groups))
+                number = part[kind].where(part[kind] >= MIN_BAR)
+                bottom, above = (
+                    (100 * part[f"{kind}_{status}"] / number).fillna(0.0).to_numpy(np.float64)
+                    for status in ("degenerate", "no_model")
+                )
+                place = np.arange(len(groups)) + (k - (len(looks) - 1) / 2) * width
+                axis.bar(place, bottom, 0.9 * width, color=look.colour)
+                axis.bar(place, above, 0.9 * width, bottom=bottom, color=look.colour, alpha=0.45)
+                tallest = max(tallest, float((bottom + above).max(initial=0.0)))
+            axis.set_xticks(range(len(groups)), list(groups), rotation=20 if len(groups) > 3 else 0)
+            axis.grid(axis="x", visible=False)
+            axis.set(title=title, ylim=(0, 100 if kind == "wrong" or not tallest else min(1.15 * tallest, 100)))
+        axes[0][0].set_ylabel("share of the runs, %")
+        handles = [Patch(color=look.colour, label=look.label) for look in looks.values()]
+        handles += [Patch(color=INK, label="full: degenerate"), Patch(color=INK, alpha=0.45, label="pale: no_model")]
+        legend(figure, [], more=handles)
+        save(figure, path)
+
+
+def classifier_figure(table: pd.DataFrame, path: Path) -> None:
+    """Draw metrics of each family of classifiers, folds by scene and by row: a row per preset and target."""
+    subjects = list(dict.fromkeys(zip(table["preset"], table["target"], strict=True)))
+    metrics = [name for name in DRAWN_METRICS if (table["metric"] == name).any()]
+    kinds = (
+        ("grouped", 0.2, "#0072b2", "folds by scene"),
+        ("ungrouped", -0.2, "#e3a76f", "folds by row, as in the paper: optimistic (exported family)"),
+    )
+    with styled(len(subjects), len(metrics), (2.7 * len(metrics), 1.7 * len(subjects) + 0.6), sharex=True) as (
+        figure,
+        axes,
+    ):
+        for row, (preset, target) in zip(axes, subjects, strict=True):
+            for axis, metric in zip(row, metrics, strict=True):
+                chosen = (table["preset"] == preset) & (table["target"] == target) & (table["metric"] == metric)
+                values = table[chosen].set_index("family")
+                y, both = np.arange(len(values))[::-1], values["ungrouped"].notna().to_numpy()
+                for name, offset, colour, label in kinds:
+                    at = y + np.where(both, offset, 0.0)
+                    width = values[name].to_numpy(np.float64)
+                    axis.barh(at, width, 0.36, color=colour, label=label)
+                    deviation = values[f"{name}_sd"].fillna(0.0).to_numpy(np.float64)
+                    axis.errorbar(width, at, xerr=deviation, fmt="none", ecolor=INK, elinewidth=0.8)
+                axis.set_yticks(y, [str(name) for name in values.index])
+                axis.grid(axis="y", visible=False)
+                axis.tick_params(labelleft=axis is row[0])
+                if row is axes[0]:
+                    axis.set_title(METRIC_TITLES[metric])
+            row[0].set_ylabel(f"{preset}:\n{TARGET_TITLES.get(str(target), str(target))}", fontweight="bold")
+        axes[0][0].set_xlim(0, 1)
+        handles, labels = axes[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(handles))
+        save(figure, path)
+
+
+def hand_over_figure(search: pd.DataFrame, path: Path) -> None:
+    """Draw the search for hand-overs: a row per estimator, a column per setting, a line per input.
+
+    The height is what settings were chosen by: the mean of the pairs below 10 px and below 3 px. A ring marks what was
+    chosen in the end.
+    """
+    search = search.assign(score=(search["successes_10"] + search["successes_3"]) / 2)
+    settings = [name for name in _SETTINGS if (search["step"] == name).any()]
+    estimators = order_of(search["estimator"])
+    size = (1.6 * len(settings) + 0.9, 1.3 * len(estimators) + 1.1)
+    with styled(len(estimators), len(settings), size, sharey="row") as (figure, axes):
+        for row, estimator in zip(axes, estimators, strict=True):
+            for axis, name in zip(row, settings, strict=True):
+                _sweep(axis, search[search["estimator"] == estimator], name)
+                if row is axes[0]:
+                    axis.set_title(_SETTINGS[name], fontsize=9)
+            row[0].set_ylabel(estimator, fontweight="bold")
+            row[0].margins(y=0.14)
+            row[0].yaxis.set_major_locator(MaxNLocator(4, integer=True))
+        figure.supylabel("validation pairs, mean of those below 10 px and below 3 px", fontsize=9, color=MUTED)
+        legend(figure, list(_looks(order_of(search["input"])).values()), markers=True)
+        save(figure, path)
+
+
+def _sweep(axis: Axes, part: pd.DataFrame, name: str) -> None:
+    """Draw the trials of one setting, and the best trial before it, from which they vary."""
+    lines = []
+    for owner, look in _looks(order_of(part["input"])).items():
+        of_input = part[part["input"] == owner]
+        varied = of_input[of_input["step"] == name]
+        if len(varied):
+            before = of_input.loc[: varied.index[0]].iloc[:-1]
+            trials = pd.concat([varied, before.sort_values(["score", "area"], kind="stable").tail(1)])
+            chosen = of_input[of_input["chosen"].astype(str).str.lower() == "true"]
+            lines.append((look, trials, {setting(value) for value in chosen[name]}))
+    if not lines:
+        axis.set_axis_off()
+        return
+    values = {setting(value): value for _, trials, _ in lines for value in trials[name]}
+    levels = sorted(values, key=lambda text: np.inf if text == "none" else float(values[text]))  # no limit comes last
+    for look, trials, final in lines:
+        names = [setting(value) for value in trials[name]]
+        x, y = np.array([levels.index(text) for text in names]), trials["score"].to_numpy()
+        order = np.argsort(x, kind="stable")
+        axis.plot(x[order], y[order], color=look.colour, ls=look.line, marker=look.marker, ms=3.2, lw=1.2)
+        at = [k for k, text in enumerate(names) if text in final]
+        axis.plot(x[at], y[at], "o", ms=8, mfc="none", mec=look.colour, mew=1.1)
+    axis.set_xticks(range(len(levels)), levels)
+    axis.set_xlim(-0.4, len(levels) - 0.6)
+
+
+def overhead_figure(overhead: pd.DataFrame, path: Path) -> None:
+    """Draw time overhead over contribution: one point per group and estimator, one panel per ranked input."""
+    presets, groups = order_of(overhead["input"]), order_of(overhead["group"])
+    estimators = order_of(overhead["estimator"])
+    with styled(1, len(presets), (4.6 * len(presets) + 1.2, 3.9), sharey=True) as (figure, axes):
+        for axis, preset in zip(axes[0], presets, strict=True):
+            own = overhead[overhead["input"] == preset]
+            part = own[np.isfinite(own["contribution"])]
+            # Linear up to a doubling, logarithmic above it: one large contribution must not squeeze all others.
+            axis.set_xscale("symlog", linthresh=100, linscale=2)
+            for row in part.to_dict("records"):
+                axis.scatter(
+                    100 * row["contribution"], row["overhead"], s=44, edgecolor="white", linewidth=0.8, zorder=3,
+                    color=SERIES[groups.index(row["group"]) % len(SERIES)],
+                    marker=_MARKERS[estimators.index(row["estimator"]) % len(_MARKERS)],
+                )  # fmt: skip
+            # Of ranks, since a contribution is infinite where nothing succeeded without the step.
+            varied = min(own["contribution"].nunique(), own["overhead"].nunique()) > 1
+            rank = float(stats.spearmanr(own["contribution"], own["overhead"]).statistic) if varied else np.nan
+            note = f"rank correlation {rank:+.2f}" if np.isfinite(rank) else "no correlation: no variation"
+            if len(own) > len(part):
+                note += f"\n{len(own) - len(part)} not shown: nothing succeeded without"
+            axis.text(0.98, 0.97, note, transform=axis.transAxes, ha="right", va="top")
+            axis.axvline(0, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
+            axis.xaxis.set_major_locator(FixedLocator((-50, 0, 50, 100, 200, 500, 1000)))
+            axis.xaxis.set_major_formatter("{x:g}")
+            axis.xaxis.set_minor_locator(NullLocator())
+            axis.set(title=look_of(INPUT_LOOKS, preset, 0).label, xlabel="contribution, %")
+        axes[0][0].set(ylabel="time with the step / without", ylim=(0, overhead["overhead"].max() * 1.25))
+        for k, group in enumerate(groups):
+            axes[0][0].plot([], [], "o", color=SERIES[k % len(SERIES)], label=group)
+        for k, estimator in enumerate(estimators):
+            axes[0][0].plot([], [], _MARKERS[k % len(_MARKERS)], color=MUTED, label=estimator)
+        figure.legend(loc="outside right center")
+        save(figure, path)
+
+
+def seconds_figure(table: pd.DataFrame, path: Path) -> None:
+    """Draw milliseconds per run of each estimator (`timing.seconds_table`), by outcome; hollow for few runs."""
+    estimators, looks = order_of(table["estimator"]), _looks(order_of(table["input"]))
+    with styled(1, 2, (9.6, 0.45 * len(estimators) + 1.3), sharex=True, sharey=True) as (figure, axes):
+        for axis, outcome in zip(axes[0], ("success", "failure"), strict=True):
+            y = _names(axis, estimators)
+            for k, (name, look) in enumerate(looks.items()):
+                chosen = (table["input"] == name) & (table["outcome"] == outcome)
+                part = table[chosen].set_index("estimator").reindex(estimators)
+                mean, height = 1000 * part["mean"], y + 0.17 * ((len(looks) - 1) / 2 - k)
+                few = (part["runs"] < FEW_RUNS).to_numpy()
+                axis.plot(mean[~few], height[~few], look.marker, color=look.colour, ms=6, mec="white", mew=0.6)
+                axis.plot(mean[few], height[few], look.marker, color=look.colour, ms=5, mfc="white", mew=1.1)
+                for at, level, runs in zip(mean, height, part["runs"], strict=True):
+                    if np.isfinite(at):
+                        how: Any = {
+                            "textcoords": "offset points",
+                            "va": "center",
+                            "fontsize": 5.5,
+                            "color": look.colour,
+                        }
+                        axis.annotate(f"{runs:.0f}", (at, level), (5, 0), **how)
+            axis.set(
+                title=f"runs that end in {outcome}", xlabel="milliseconds per run, matching left out", xscale="log"
+            )
+            axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.xaxis.set_major_formatter("{x:g}")
+            axis.xaxis.set_minor_formatter(NullFormatter())
+        few_runs = Line2D(
+            [], [], ls="", marker="o", color=MUTED, mfc="white", mew=1.1, label=f"fewer than {FEW_RUNS} runs"
+        )
+        dots = [Look(look.label, look.colour, "", look.marker) for look in looks.values()]
+        legend(figure, dots, markers=True, more=[few_runs])
+        save(figure, path)

@@ -1,107 +1,157 @@
-"""Everything that the report stage writes."""
+"""A report: tables, figures and one page. The study, photographs and any folder are calls of `write_report`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import pandas as pd
+
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.evaluation.records import Tables
+from epiprior_lab.pairsets import KnownSet
 from epiprior_lab.params import ReportParams
-from epiprior_lab.report import figures, success_figures
-from epiprior_lab.report.bounds import BoundParams, bounds_table
-from epiprior_lab.report.classifier_figure import classifier_figure
-from epiprior_lab.report.hand_over_figure import hand_over_figure
-from epiprior_lab.report.html import PageTables, write_page
-from epiprior_lab.report.markdown import performance_markdown
-from epiprior_lab.report.performance import duel_table, performance_table
-from epiprior_lab.report.study import Study, order_of
-from epiprior_lab.report.tables import (
-    calibration_table,
-    classifier_table,
-    estimator_table,
-    ranking_table,
-    write_table,
-)
-from epiprior_lab.report.verdicts import study_verdicts, verdict_figure, verdict_markdown
+from epiprior_lab.report import figures, tables
+from epiprior_lab.report.bounds import Bound, judge
+from epiprior_lab.report.cascade import cascade_table, rule_in_words
+from epiprior_lab.report.gallery import Case, write_gallery
+from epiprior_lab.report.page import Page
+from epiprior_lab.report.prose import say
+from epiprior_lab.report.results import Results, read_table
+from epiprior_lab.report.sections import Material, all_sections
+from epiprior_lab.report.text import ALL, DIFFICULTIES, OURS
 
-PAGE = "index.html"
+TITLES = {
+    "study": "Epipolar geometry with a prior: rendered scenes",
+    "photographs": "Epipolar geometry with a prior: photographs",
+    "folder": "Epipolar geometry with a prior: pair sets of your own",
+}
+CLASSIFIER_COLUMNS = "target family grouped fold metric value"
+HAND_OVER_COLUMNS = "estimator input step top_k one_to_one threshold_px pairs successes_10 successes_3 area chosen"
 
 
-def write_report(study: Study, photographs: Mapping[str, Path], out: Path, params: ReportParams) -> list[Path]:
-    """Write tables, figures and the page.
+@dataclass(frozen=True, kw_only=True)
+class Extras:
+    """What a report shows beside the results; each may be left out.
 
-    Parameters
-    ----------
-    study : Study
-        Results.
-    photographs : mapping of str to Path
-        Pictures of the scenes that the page shows: ``contact_sheet`` and ``example``.
-    out : Path
-        Folder; ``index.html``, ``performance.csv`` and ``.md``, further tables, and ``figures/``.
-    params : ReportParams
-        Thresholds, bootstrap and bounds.
-
-    Returns
-    -------
-    list of Path
-        What was written, tables first, the page last.
+    `known_sets` are listed even where they are not present. `classifiers` are from `read_classifiers`, `hand_over` is
+    the search on validation scenes. `pictures` are made by others, in the report's folder: ``contact_sheet, example,
+    roll, cascade, overhead, estimators`` and those of the analysis. Those of the `cases` are drawn already; `gallery`
+    is the folder of those on photographs, which stays here: its page is written too.
     """
-    tables = _tables(study, params)
-    written = [
-        write_table(tables.performance, out / "performance.csv"),
-        write_table(tables.duels, out / "duel.csv"),
-        write_table(tables.bounds, out / "bounds.csv"),
-        write_table(tables.estimators, out / "estimators.csv"),
-        write_table(tables.rankings, out / "rankings.csv"),
-        write_table(tables.calibration, out / "calibration.csv"),
-        write_table(tables.classifiers, out / "classifiers.csv"),
-        write_table(tables.hand_over, out / "hand_over.csv"),
-        write_table(tables.verdicts, out / "verdicts.csv"),
-        out / "performance.md",
-    ]
-    champion = params.champion
-    markdown = performance_markdown(tables.performance, tables.duels, tables.bounds, champion)
-    verdicts = "\n".join(["", *verdict_markdown(tables.verdicts, params.success_px), ""])
-    (out / "performance.md").write_text(markdown + verdicts, encoding="utf-8", newline="\n")
-    drawn = _figures(study, tables, out / "figures", params)
-    page = write_page(
-        tables,
-        {**drawn, **photographs},
-        out / PAGE,
-        success_px=params.success_px,
-        strict_px=params.strict_px,
-        seeds=study.results["seed"].nunique(),
-        champion=champion,
-    )
-    return [*written, *drawn.values(), page]
+
+    rule: CascadeRule | None = None
+    bounds: Sequence[Bound] = ()
+    known_sets: Sequence[KnownSet] = ()
+    classifiers: pd.DataFrame | None = None
+    hand_over: pd.DataFrame | None = None
+    pictures: Mapping[str, Path] = field(default_factory=dict)
+    cases: Sequence[Case] = ()
+    gallery: Path | None = None
 
 
-def _tables(study: Study, params: ReportParams) -> PageTables:
-    thresholds = (params.success_px, params.strict_px)
-    draws, seed = params.bootstrap_draws, params.seed
-    performance = performance_table(study, thresholds_px=thresholds, draws=draws, seed=seed)
-    duels = duel_table(study, params.champion, thresholds_px=thresholds, draws=draws, seed=seed)
-    return PageTables(
-        performance=performance,
-        duels=duels,
-        bounds=bounds_table(performance, duels, BoundParams(), success_px=params.success_px, thresholds_px=thresholds),
-        rankings=ranking_table(study),
-        calibration=calibration_table(study),
-        classifiers=classifier_table(study),
-        estimators=estimator_table(order_of(study.results["estimator"])),
-        hand_over=study.hand_over,
-        verdicts=study_verdicts(study, params.success_px),
-    )
+def read_results(evaluated: Tables, params: ReportParams, *, apart: Sequence[str] = ()) -> Results:
+    """Return results by group, or by difficulty where the hard groups of the parameters are difficulties."""
+    by = "difficulty" if set(params.hard_groups) <= set(DIFFICULTIES) else "group"
+    how = {"draws": params.bootstrap_draws, "seed": params.seed}
+    return Results(evaluated, by=by, hard=params.hard_groups, apart=apart, **how)
 
 
-def _figures(study: Study, tables: PageTables, at: Path, params: ReportParams) -> dict[str, Path]:
-    return {
-        "performance": success_figures.performance_figure(tables.performance, at / "performance.png"),
-        "successes": success_figures.success_figure(study, at / "successes.png"),
-        "duels": success_figures.duel_figure(tables.duels, params.champion, params.hard_groups, at / "duels.png"),
-        "rankings": figures.ranking_figure(study, at / "rankings.png"),
-        "roll": figures.roll_figure(study, at / "roll.png"),
-        "calibration": figures.calibration_figure(study, at / "calibration.png"),
-        "classifiers": classifier_figure(tables.classifiers, at / "classifiers.png"),
-        "hand_over": hand_over_figure(study, at / "hand_over.png"),
-        "verdicts": verdict_figure(tables.verdicts, at / "verdicts.png"),
+def read_classifiers(training: Path, presets: Sequence[str]) -> pd.DataFrame:
+    """Read the cross-validation of every preset, ``TRAINING/PRESET/metrics.csv``, with a column ``preset``."""
+    parts = [read_table(training / preset / "metrics.csv", CLASSIFIER_COLUMNS) for preset in presets]
+    return pd.concat([p.assign(preset=name) for name, p in zip(presets, parts, strict=True)], ignore_index=True)
+
+
+def make_tables(results: Results, params: ReportParams, extras: Extras) -> dict[str, pd.DataFrame]:
+    """Return all tables by the names of their files, those without rows left out."""
+    thresholds = tuple(dict.fromkeys((params.success_px, params.strict_px)))
+    success_px, champion = params.success_px, params.champion
+    made = {
+        "successes": tables.success_table(results, params.thresholds_px),
+        "duels": tables.duel_table(results, champion, thresholds),
+        "geometry": tables.geometry_table(results, params.pose_deg, params.distance_recall, success_px),
+        "rankings": tables.ranking_table(results),
+        "calibration": tables.calibration_table(results),
+        "statuses": tables.status_table(results, success_px),
+        "sets": tables.set_table(results, extras.known_sets),
+        "estimators": tables.estimator_table(results),
+        "limits": tables.limits_table(results, champion, success_px),
+        "pairs": tables.pair_table(results),
     }
+    if extras.rule is not None and OURS in results.inputs_of_all:
+        made["cascade"] = cascade_table(results, extras.rule, thresholds)
+    if extras.classifiers is not None:
+        made["classifiers"] = tables.classifier_table(extras.classifiers)
+    if extras.hand_over is not None:
+        made["hand_over"] = extras.hand_over
+    made["bounds"] = judge(list(extras.bounds), results=results, tables=made)
+    return {name: table for name, table in made.items() if len(table)}
+
+
+def draw_figures(results: Results, made: Mapping[str, pd.DataFrame], params: ReportParams, at: Path) -> dict[str, Path]:
+    """Draw what the tables allow, and return the files by their names."""
+    groups = [group for group, _ in results.groups(results.main[:-1])] or [ALL]
+    thresholds, hard = list(dict.fromkeys((params.success_px, params.strict_px))), results.hard or (ALL,)
+    draw: dict[str, tuple[str, Callable[[pd.DataFrame, Path], None]]] = {
+        "successes": ("successes", lambda t, path: figures.success_figure(t, groups, thresholds, path)),
+        "curves": ("successes", lambda _, path: figures.curve_figure(results, path)),
+        "duels": ("duels", lambda t, path: figures.duel_figure(t, params.champion, hard, path)),
+        "rankings": ("rankings", lambda _, path: figures.ranking_figure(results, path)),
+        "calibration": ("calibration", lambda _, path: figures.calibration_figure(results, path)),
+        "statuses": ("statuses", lambda t, path: figures.status_figure(t, [*groups, ALL], path)),
+        "classifiers": ("classifiers", figures.classifier_figure),
+        "hand_over": ("hand_over", figures.hand_over_figure),
+    }
+    paths = {name: at / f"{name}.png" for name, (table, _) in draw.items() if table in made}
+    for name, path in paths.items():
+        table, function = draw[name]
+        function(made[table], path)
+    return paths
+
+
+def write_report(
+    results: Results, params: ReportParams, extras: Extras, kind: str, out: Path
+) -> dict[str, pd.DataFrame]:
+    """Write ``index.html`` and ``performance.md``, ``tables/`` and ``figures/``; return the tables.
+
+    `kind` is one of `TITLES`: of the title and the prose.
+    """
+    made = make_tables(results, params, extras)
+    for name, table in made.items():
+        tables.write_table(table, out / "tables" / f"{name}.csv")
+    drawn = {**draw_figures(results, made, params, out / "figures"), **extras.pictures}
+    material = Material(
+        results=results,
+        params=params,
+        tables=made,
+        figures={name: path.relative_to(out).as_posix() for name, path in drawn.items()},
+        kind=kind,
+        rule="" if extras.rule is None else rule_in_words(extras.rule),
+        cases=extras.cases,
+        kept="" if extras.gallery is None else (extras.gallery / "index.html").as_posix(),
+    )
+    Page(title=TITLES[kind], about=say(kind), sections=all_sections(material)).write(out)
+    if extras.gallery is not None:
+        write_gallery(extras.cases, extras.gallery)
+    return made
+
+
+def write_folder_report(evaluated: Tables, out: Path) -> None:
+    """Write the report on pair sets of one's own, with the thresholds of the study; the first estimator is compared."""
+    params = ReportParams(
+        seed=0,
+        success_px=10.0,
+        strict_px=3.0,
+        thresholds_px=(10.0, 3.0),
+        pose_deg=(5.0, 10.0, 20.0),
+        distance_recall=0.05,
+        bootstrap_draws=2000,
+        champion=str(evaluated.runs["estimator"].iloc[0]),
+        hard_groups=("hard",),
+        easy_groups=("easy",),
+        contact_sheet_pairs=None,
+        gallery=None,
+    )
+    write_report(read_results(evaluated, params), params, Extras(), "folder", out)

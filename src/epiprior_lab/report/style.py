@@ -2,57 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import matplotlib as mpl
+from matplotlib import rc_params_from_file
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from epiprior_lab.report.text import INPUT_TITLES, RANKING_TITLES
+
 INK = "#2b2f36"
 MUTED = "#7a828e"
 GRID = "#e6e8ec"
 
-_RC: Any = {
-    "axes.axisbelow": True,
-    "axes.edgecolor": "#b4bac4",
-    "axes.grid": True,
-    "axes.labelcolor": INK,
-    "axes.labelsize": 9,
-    "axes.linewidth": 0.8,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlecolor": INK,
-    "axes.titlelocation": "left",
-    "axes.titlepad": 6,
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
-    "figure.facecolor": "white",
-    "figure.titlesize": 12,
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "grid.color": GRID,
-    "grid.linewidth": 0.8,
-    "legend.fontsize": 9,
-    "legend.frameon": False,
-    "lines.linewidth": 1.8,
-    "lines.solid_capstyle": "round",
-    "savefig.dpi": 150,
-    "text.color": INK,
-    "xtick.color": MUTED,
-    "xtick.labelsize": 8,
-    "xtick.major.size": 0,
-    "xtick.minor.size": 0,
-    "ytick.color": MUTED,
-    "ytick.labelsize": 8,
-    "ytick.major.size": 0,
-    "ytick.minor.size": 0,
-}
+_RC = rc_params_from_file(Path(__file__).parent / "templates" / "report.mplstyle", use_default_template=False)
 
 
 @dataclass(frozen=True)
@@ -64,11 +33,11 @@ class Look:
     label : str
         Its name for a reader.
     colour : str
-        From the palette of Okabe and Ito, or grey.
+        From the palette of Okabe and Ito, or grey; `line` and `marker` are further cues beside it.
     line : str or tuple
-        Line style of matplotlib, a second cue beside the colour.
+        Line style of matplotlib.
     marker : str
-        Marker, a third.
+        Marker of matplotlib.
     """
 
     label: str
@@ -78,27 +47,29 @@ class Look:
 
 
 INPUT_LOOKS: Mapping[str, Look] = {
-    "without": Look("without: standard matches (X_L)", "#8b919b", ":", "s"),
-    "standard": Look("standard matches (X_L)", "#8b919b", ":", "s"),
-    "generalized": Look("all similar matches", "#cc79a7", (0, (1, 1)), "v"),
-    "snn": Look("snn", "#0072b2", "--", "D"),
-    "paper": Look("ours, as printed", "#e69f00", "-.", "^"),
-    "default": Look("ours, default", "#d55e00", "-", "o"),
-    "adalam": Look("adalam", "#009e73", (0, (5, 1)), "P"),
-    "gms": Look("gms", "#56b4e9", (0, (3, 1, 1, 1)), "X"),
+    name: Look(INPUT_TITLES[name], *look)
+    for name, look in {
+        "standard": ("#8b919b", ":", "s"),
+        "generalized": ("#cc79a7", (0, (1, 1)), "v"),
+        "snn": ("#0072b2", "--", "D"),
+        "adalam": ("#009e73", (0, (5, 1)), "P"),
+        "gms": ("#56b4e9", (0, (3, 1, 1, 1)), "X"),
+        "paper": ("#e69f00", "-.", "^"),
+        "default": ("#d55e00", "-", "o"),
+    }.items()
 }
-
 RANKING_LOOKS: Mapping[str, Look] = {
-    "lowe": Look("Lowe (distance ratio)", "#8b919b", ":", "s"),
-    "blogs": Look("BLOGS (similarity weight)", "#56b4e9", "--", "D"),
-    "2keypoint": Look("2keypoints", "#009e73", "-.", "v"),
-    "sfm": Look("supporting F matrices", "#e69f00", (0, (5, 1)), "^"),
-    "final": Look("final probability", "#d55e00", "-", "o"),
+    name: Look(RANKING_TITLES[name], *look)
+    for name, look in {
+        "lowe": ("#8b919b", ":", "s"),
+        "blogs": ("#56b4e9", "--", "D"),
+        "2keypoint": ("#009e73", "-.", "v"),
+        "sfm": ("#e69f00", (0, (5, 1)), "^"),
+        "final": ("#d55e00", "-", "o"),
+    }.items()
 }
 
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8b919b", "#2b2f36")
-
-
 Sharing = bool | Literal["row", "col"]
 
 
@@ -134,13 +105,15 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def legend(figure: Figure, looks: Mapping[str, Look], names: list[str], *, markers: bool = False) -> None:
-    """Put one legend for all axes above them, with the markers of the series if these are drawn."""
+def legend(figure: Figure, looks: Sequence[Look], *, markers: bool = False, more: Sequence[Any] = ()) -> None:
+    """Put one legend for all axes above them, with the markers of the series if these are drawn; `more` are handles."""
     handles = []
-    for look in (looks[name] for name in names):
+    for look in looks:
         marker = look.marker if markers else ""
         handles.append(Line2D([], [], color=look.colour, linestyle=look.line, marker=marker, ms=5, label=look.label))
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), handlelength=2.6)
+    handles += more
+    rows = -(-len(handles) // 7)  # more do not fit side by side
+    figure.legend(handles=handles, loc="outside upper center", ncols=-(-len(handles) // rows), handlelength=2.6)
 
 
 def look_of(looks: Mapping[str, Look], name: str, index: int) -> Look:

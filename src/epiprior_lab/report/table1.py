@@ -1,124 +1,72 @@
-"""The paper's Table 1: matches, right ones among the best, and who succeeds, on a few named pairs per family."""
+"""The paper's Table 1: matches, right ones among the best, and who succeeds, on a few named pairs per group."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
 
+import numpy as np
 import pandas as pd
 
-from epiprior_lab.report.study import COLUMNS, errors_of, order_of, read_table
+from epiprior_lab.evaluation.compare import Rates
+from epiprior_lab.evaluation.records import Tables, right_column
+from epiprior_lab.report.page import Page, Picture, Section, Table
+from epiprior_lab.report.prose import say
 
-# Columns of the table: its name, and preset and ranking of the rankings that it shows.
-LISTS = {
-    "Lowe (X_L)": ("paper", "lowe"),
-    "BLOGS (X_B)": ("paper", "blogs"),
-    "ours, `paper`": ("paper", "final"),
-    "ours, `default`": ("default", "final"),
-}
-_INPUT_OF_LIST = {"Lowe (X_L)": "standard", "ours, `paper`": "paper", "ours, `default`": "default"}
-
-_INTRODUCTION = """\
-# Named pairs of every family: matches, right ones among the best, who succeeds
-
-The paper's Table 1 on rendered test pairs. The pairs were chosen by a rule that knows no outcome: within each family at
-the quantiles {quantiles} of the share of right matches in X_L, so from hard to easy. `Lowe`: X_L by distance ratio.
-`BLOGS`: X_B by similarity weight. `ours`: the union of X, X_L and X_B by probability. Success: how many estimators, and
-which, have an error below {success_px} px in most of their seeds, on the standard input and on ours (X_B alone is no
-input of the study).
-
-![The pairs, a row per family, in the order of the table](table1.jpg)"""
+# Columns of the table: title, input and ranking of the list, input of the estimators that is shown with it.
+LISTS = (
+    ("X_L, by distance ratio", "paper", "lowe", "standard"),
+    ("X_B, by similarity weight", "paper", "blogs", ""),
+    ("ours, as printed", "paper", "final", "paper"),
+    ("ours", "default", "final", "default"),
+)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FamilyResults:
-    """What the evaluation says of one family.
-
-    Parameters
-    ----------
-    results, rankings : DataFrame
-        As the stage `evaluate` writes them.
-    """
-
-    results: pd.DataFrame
-    rankings: pd.DataFrame
-
-    @classmethod
-    def read(cls, folder: Path) -> FamilyResults:
-        """Read the files of one family.
-
-        Raises
-        ------
-        ReportError
-            If one is missing or lacks a column.
-        """
-        return cls(**{name: read_table(folder / f"{name}.csv", COLUMNS[name]) for name in ("results", "rankings")})
-
-
-def named_pairs(rankings: pd.DataFrame, quantiles: Sequence[float]) -> list[str]:
-    """Return pairs at quantiles of the share of right matches in X_L, from hard to easy: by rule, not by outcome.
-
-    Parameters
-    ----------
-    rankings : DataFrame
-        Of one family.
-    quantiles : sequence of float
-        In [0, 1].
-    """
-    standard = rankings[(rankings["preset"] == "paper") & (rankings["ranking"] == "lowe")]
-    share = (standard["right"] / standard["matches"].clip(lower=1)).to_numpy()
-    ordered = standard.assign(share=share).sort_values(["share", "pair_id"], kind="stable")["pair_id"].tolist()
+def named_pairs(pairs: pd.DataFrame, quantiles: Sequence[float]) -> list[str]:
+    """Return `pairs` of one group at quantiles of the share of right matches in X_L: by rule, not by outcome."""
+    ordered = pairs.dropna(subset="right_share").sort_values(["right_share", "pair_id"], kind="stable")["pair_id"]
     places = dict.fromkeys(round(q * (len(ordered) - 1)) for q in quantiles)
-    return [str(ordered[place]) for place in places]
+    return [str(ordered.iloc[place]) for place in places]
 
 
-def table1_markdown(families: Mapping[str, FamilyResults], quantiles: Sequence[float], success_px: float) -> str:
-    """Return the table as text for a reader.
+def table1_page(tables: Tables, quantiles: Sequence[float], success_px: float, *, picture: str) -> Page:
+    """Return the table as a page; `picture` is the contact sheet of its pairs, relative to the page.
 
-    Parameters
-    ----------
-    families : mapping of str to FamilyResults
-        In the order of the table.
-    quantiles : sequence of float
-        Of `named_pairs`.
-    success_px : float
-        An estimator succeeds on a pair where most of its seeds are below this error, pixels.
+    An estimator succeeds on a pair where most of its seeds have an error below `success_px`.
     """
-    levels = ", ".join(f"{q:g}" for q in quantiles)
-    lines = [_INTRODUCTION.format(quantiles=levels, success_px=f"{success_px:g}")]
-    for family, found in families.items():
-        lines += ["", f"## {family}"]
-        for pair_id in named_pairs(found.rankings, quantiles):
-            lines += ["", *_pair_lines(found, pair_id, success_px)]
-    return "\n".join(lines) + "\n"
+    rates = Rates(tables)
+    sheet = Picture(path=picture, alt="The pairs, a row per group, in the order of the tables")
+    sections = [Section(title="The pairs", blocks=[sheet])]
+    for group, pairs in tables.pairs.groupby("group", sort=False):
+        blocks = [_pair_table(tables, rates, str(group), name, success_px) for name in named_pairs(pairs, quantiles)]
+        sections.append(Section(title=str(group), blocks=blocks))
+    about = say("table1", quantiles=", ".join(f"{q:g}" for q in quantiles), success_px=success_px)
+    return Page(title="Named pairs: matches, right ones among the best, who succeeds", about=about, sections=sections)
 
 
-def _pair_lines(found: FamilyResults, pair_id: str, success_px: float) -> list[str]:
-    rankings = found.rankings[found.rankings["pair_id"] == pair_id].to_dict("records")
-    by_place = {(row["preset"], row["ranking"]): row for row in rankings}
-    columns = [by_place[place] for place in LISTS.values()]
-    rows = {
-        "matches": [f"{int(c['matches']):,}" for c in columns],
-        "right matches": [f"{int(c['right']):,}" for c in columns],
-        "right of the first 10": [f"{10 * float(c['precision_10']):.0f}" for c in columns],
-        "right of the first 100": [f"{100 * float(c['precision_100']):.0f}" for c in columns],
-        "success": [_success(found.results, pair_id, _INPUT_OF_LIST.get(name), success_px) for name in LISTS],
-    }
-    head = f"| `{pair_id}` | " + " | ".join(LISTS) + " |"
-    lines = [head, "|---" + "|---:" * len(LISTS) + "|"]
-    return lines + [f"| {name} | " + " | ".join(values) + " |" for name, values in rows.items()]
+def _pair_table(tables: Tables, rates: Rates, group: str, pair_id: str, success_px: float) -> Table:
+    found = tables.rankings[(tables.rankings["group"] == group) & (tables.rankings["pair_id"] == pair_id)]
+    by_place = {(row["input"], row["ranking"]): row for row in found.to_dict("records")}
+    lists = [by_place[name, ranking] for _, name, ranking, _ in LISTS]
+    pairs = tables.pairs
+    place = int(np.flatnonzero((pairs["group"] == group) & (pairs["pair_id"] == pair_id))[0])
+    rows = [
+        ["matches", *(f"{int(one['matches']):,}" for one in lists)],
+        ["right matches", *(f"{int(one['right']):,}" for one in lists)],
+        ["right of the first 10", *(str(int(one[right_column(10)])) for one in lists)],
+        ["right of the first 100", *(str(int(one[right_column(100)])) for one in lists)],
+        ["success", *(_success(rates, place, name, success_px) for *_, name in LISTS)],
+    ]
+    return Table(head=[f"`{pair_id}`", *(title for title, *_ in LISTS)], rows=rows)
 
 
-def _success(results: pd.DataFrame, pair_id: str, input_name: str | None, success_px: float) -> str:
+def _success(rates: Rates, place: int, name: str, success_px: float) -> str:
     """Return how many estimators succeed in most seeds, and the shorter of who does and who does not."""
-    part = results[(results["pair_id"] == pair_id) & (results["input"] == input_name)]
-    if part.empty:
+    who = [estimator for estimator in rates.estimators if name in rates.inputs(estimator)]
+    if not who:
         return "–"
-    names = order_of(part["estimator"])
-    won = [n for n in names if (errors_of(part, estimator=n).to_numpy() < success_px).mean() > 0.5]
-    lost = [n for n in names if n not in won]
-    told = f"{len(won)} of {len(names)}"
+    won = [estimator for estimator in who if rates.of(estimator, name, success_px)[place] > 0.5]
+    lost = [estimator for estimator in who if estimator not in won]
+    told = f"{len(won)} of {len(who)}"
     if not won or not lost:
         return told
     return f"{told}: {', '.join(won)}" if len(won) <= len(lost) else f"{told}, not {', '.join(lost)}"

@@ -1,36 +1,87 @@
-"""Stage `report`: tables, figures and the page."""
+"""Stage `report`: tables, figures and the page of an evaluation, of rendered scenes or of photographs."""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
+from epiprior.verification.cascade import load_cascade_rule
 from epiprior_lab.compute.tasks import single_threaded
-from epiprior_lab.evaluation.estimates import study_pairs
-from epiprior_lab.params import load_study
-from epiprior_lab.report.contact_sheet import contact_sheet
-from epiprior_lab.report.example import example_figure, rescued_pair
-from epiprior_lab.report.report import write_report
-from epiprior_lab.report.study import Study
+from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
+from epiprior_lab.evaluation.records import Tables
+from epiprior_lab.pairsets import known_sets
+from epiprior_lab.params import STUDY, Params, StudyParams, load_params
+from epiprior_lab.report.bounds import BOUNDS, load_bounds
+from epiprior_lab.report.figures import roll_figure
+from epiprior_lab.report.gallery import choose_cases, draw_cases
+from epiprior_lab.report.pictures import contact_sheet, density_of_roll, example_picture, rescued_pair, rolled_pairs
+from epiprior_lab.report.report import HAND_OVER_COLUMNS, Extras, read_classifiers, read_results, write_report
+from epiprior_lab.report.results import Results, read_table
 
-OUT = Path("reports")
-SHOWN = "facades-hard"  # the family whose rescued pair is drawn
+GALLERY = Path("data/photographs-gallery")
+OF_OTHER_STAGES = {"overhead": "timings/overhead.png", "estimators": "timings/estimators.png"}
+OF_STUDY = {"cascade": "cascade.png", **{name: f"analysis/{name}.png" for name in ("steps", "ablations", "limits")}}
+
+
+def study_extras(params: StudyParams, results: Results, out: Path) -> Extras:
+    """Draw the pictures of the study, and read what else its report shows."""
+    own, figures = params.evaluate, out / "figures"
+    shown = {group: pairs_of(own, group) for group in own.groups}
+    by_id = {(group, pair.pair_id): pair for group, pairs in shown.items() for pair in pairs}
+    hard = results.hard[0]
+    example = by_id[hard, rescued_pair(results, hard)]
+    densities = {key[1]: (*density_of_roll(by_id[key]), true) for key, true in rolled_pairs(results).items()}
+    roll_figure(densities, figures / "roll.png")
+    count = params.report.contact_sheet_pairs or 0
+    sheet = contact_sheet({g: pairs[:count] for g, pairs in shown.items()}, figures / "contact_sheet.jpg")
+    pictures = {"contact_sheet": sheet, "example": example_picture(example, figures / "example.jpg")}
+    return Extras(
+        rule=load_cascade_rule(MODELS / "cascade.json"),
+        bounds=load_bounds(BOUNDS, "study"),
+        classifiers=read_classifiers(Path("data/training"), params.features.presets),
+        hand_over=read_table(Path("data/hand_over/search.csv"), HAND_OVER_COLUMNS),
+        pictures={**pictures, "roll": figures / "roll.png"}
+        | {name: out / path for name, path in {**OF_OTHER_STAGES, **OF_STUDY}.items()},
+    )
+
+
+def photograph_extras(params: Params, results: Results, out: Path) -> Extras:
+    """Draw the gallery of photographs, and read what else their report shows."""
+    gallery, own = params.report.gallery, params.evaluate
+    cases = []
+    if gallery is not None:
+        success_px = params.report.success_px
+        cases = choose_cases(
+            results, gallery.estimator, rescued=gallery.rescued, lost=gallery.lost, success_px=success_px
+        )
+        shown = dict.fromkeys(case.group for case in cases)
+        pairs = {(group, pair.pair_id): pair for group in shown for pair in pairs_of(own, group)}
+        draw_cases(cases, pairs, make_protocol(params), photographs=GALLERY, frames=out / "gallery")
+    return Extras(
+        rule=load_cascade_rule(MODELS / "cascade.json"),
+        bounds=load_bounds(BOUNDS, "photographs"),
+        known_sets=known_sets(),
+        pictures={name: out / path for name, path in OF_OTHER_STAGES.items()},
+        cases=cases,
+        gallery=GALLERY,
+    )
 
 
 def main() -> None:
-    """Write everything in ``reports/`` but the timings."""
-    params = load_study()
-    families = params.scenes.families
-    study = Study.read(
-        Path("data"), Path("data/hand_over/search.csv"), families=families, presets=params.features.presets
-    )
+    """Write everything in ``<out>`` but what other stages write, and the gallery that stays here."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--params", type=Path, default=STUDY)
+    parser.add_argument("--out", type=Path, default=Path("reports"))
+    arguments = parser.parse_args()
+    params, out = load_params(arguments.params), arguments.out
+    own = params.evaluate
+    evaluated = Tables.read([Path(own.out) / group for group in own.groups])
+    results = read_results(evaluated, params.report, apart=own.apart or ())
     with single_threaded():
-        shown = {family: study_pairs("test", family)[: params.report.contact_sheet_pairs] for family in families}
-        pair = rescued_pair(study, study_pairs("test", SHOWN), SHOWN)
-        photographs = {
-            "contact_sheet": contact_sheet(shown, OUT / "figures" / "contact_sheet.jpg"),
-            "example": example_figure(pair, OUT / "figures" / "example.jpg"),
-        }
-        write_report(study, photographs, OUT, params.report)
+        if isinstance(params, StudyParams):
+            write_report(results, params.report, study_extras(params, results, out), "study", out)
+        else:
+            write_report(results, params.report, photograph_extras(params, results, out), "photographs", out)
 
 
 if __name__ == "__main__":

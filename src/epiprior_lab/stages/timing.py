@@ -10,9 +10,12 @@ from rich.progress import track
 
 from epiprior.verification.cascade import load_cascade_rule
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
-from epiprior_lab.evaluation.records import TimingRecord, to_frame, write_frame
+from epiprior_lab.evaluation.records import Tables, TimingRecord, to_frame, write_frame
 from epiprior_lab.evaluation.timing import spread_pairs, time_pair
-from epiprior_lab.params import STUDY, load_params
+from epiprior_lab.params import STUDY, StudyParams, load_params
+from epiprior_lab.report.bounds import BOUNDS, load_bounds
+from epiprior_lab.report.report import read_results
+from epiprior_lab.report.timing import write_timings
 
 
 def main() -> None:
@@ -30,7 +33,12 @@ def main() -> None:
     records = []
     for group, pair in track(pairs, description="timing", console=Console(stderr=True)):
         records += time_pair(pair, protocol, rule, group=group, seeds=seeds)
-    write_frame(to_frame(TimingRecord, records), arguments.out / "pairs.csv")
+    timings = to_frame(TimingRecord, records)
+    write_frame(timings, arguments.out / "pairs.csv")
+    evaluated = Tables.read([Path(own.out) / group for group in own.groups])
+    results = read_results(evaluated, params.report, apart=own.apart or ())
+    bounds = load_bounds(BOUNDS, "study" if isinstance(params, StudyParams) else "photographs")
+    write_timings(timings, results, arguments.out, params.report.success_px, bounds)
 
 
 if __name__ == "__main__":

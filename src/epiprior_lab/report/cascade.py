@@ -1,0 +1,134 @@
+"""The cascade: what it loses and saves against always preprocessing, and how its rule was learnt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.params import CascadeParams
+from epiprior_lab.report.page import Block, Page, Section, Table
+from epiprior_lab.report.prose import picture, say
+from epiprior_lab.report.results import Results
+from epiprior_lab.report.style import MUTED, Look, save, styled
+from epiprior_lab.report.text import order_of, share
+from epiprior_lab.selection.cascade_rule import (
+    NEVER,
+    LearntRule,
+    cascade_errors,
+    kept_runs,
+    lost_runs,
+    paired_runs,
+    trade_off,
+)
+
+LOOKS: Mapping[str, Look] = {
+    "validation": Look("validation, chosen rule", "#8b919b", "--", "s"),
+    "test": Look("test, chosen rule", "#d55e00", "-", "o"),
+}
+_COLUMNS = 4
+
+
+def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[float]) -> pd.DataFrame:
+    """Return what the cascade does with each estimator; nothing is run again.
+
+    Returns
+    -------
+    DataFrame
+        One row per main group, estimator and threshold: ``pairs``; ``preprocessed``, the share of runs that were; and
+        in pairs, mean over seeds: successes ``without``, ``always`` and ``cascade``; ``lost`` and ``won``, the
+        successes that only always preprocessing has, and only the cascade; ``change`` = cascade - always with the ends
+        of its 95 % interval, ``_low`` and ``_high``.
+    """
+    runs = paired_runs(results.tables.runs)
+    (kept,) = kept_runs(runs, [rule])
+    keys = ["group", "pair_id"]
+    index = pd.MultiIndex.from_frame(results.tables.pairs[keys])
+    rows = []
+    for estimator in order_of(runs["estimator"]):
+        own = (runs["estimator"] == estimator).to_numpy()
+        part, kept_part = runs[own].reset_index(drop=True), kept[own]
+        errors = {"without": part["without_px"], "always": part["with_px"], "cascade": cascade_errors(part, kept_part)}
+        for threshold in thresholds_px:
+            marks = part[keys].assign(**{name: np.asarray(values) < threshold for name, values in errors.items()})
+            marks["lost"] = marks["always"] & ~marks["cascade"]
+            marks["won"] = marks["cascade"] & ~marks["always"]
+            shares = marks.assign(preprocessed=~kept_part).groupby(keys).mean().reindex(index).fillna(0.0)
+            always, cascade = (shares[name].to_numpy(np.float64) for name in ("always", "cascade"))
+            for group, member in results.groups(results.main):
+                pairs = int(member.sum())
+                row: dict[str, Any] = {
+                    "group": group,
+                    "estimator": estimator,
+                    "threshold_px": threshold,
+                    "pairs": pairs,
+                }
+                row["preprocessed"] = float(shares.loc[member, "preprocessed"].mean())
+                row |= {str(name): float(shares.loc[member, name].sum()) for name in (*errors, "lost", "won")}
+                change = results.compare(always, cascade, member, "cascade", estimator, group, str(threshold))
+                rows.append(row | results.interval("change", change.difference, member, pairs))
+    return pd.DataFrame(rows)
+
+
+def rule_in_words(rule: CascadeRule) -> str:
+    """Return what a rule keeps, as a sentence."""
+    if rule == NEVER:
+        return "No rule kept to what is tolerated: every pair is preprocessed."
+    return (
+        "Its answer is kept if its status is `ok` and its plausibility (`epiprior.verification.plausibility`) is at "
+        f"least {rule.min_plausibility:g}; otherwise the pair is preprocessed."
+    )
+
+
+def learnt_page(learnt: LearntRule, params: CascadeParams, success_px: float, strict_px: float, figure: str) -> Page:
+    """Return how the rule was learnt: its outcomes on validation scenes, and the figure of the trade-off."""
+    names = ("preprocessed", "lost", "held_out_preprocessed", "held_out_lost")
+    rows = [[str(name), *(share(row[n], 1) for n in names)] for name, row in learnt.outcomes.iterrows()]
+    values = {"tolerance": params.tolerance, "strict_tolerance": params.strict_tolerance}
+    about = say("learnt", rule=rule_in_words(learnt.rule), success_px=success_px, strict_px=strict_px, **values)
+    head = ("estimator", "preprocessed", "lost", "preprocessed, held out", "lost, held out")
+    blocks: list[Block] = [Table(head=head, rows=rows), picture("cascade", figure)]
+    section = Section(title="The rule on validation scenes", blocks=blocks)
+    return Page(title="The cascade: preprocessing only where it is needed", about=about, sections=[section])
+
+
+def cascade_figure(
+    runs: Mapping[str, pd.DataFrame], rule: CascadeRule, params: CascadeParams, threshold_px: float, path: Path
+) -> None:
+    """Draw the trade-off of every estimator, one panel each: all candidate rules in hindsight, and the chosen one.
+
+    `runs` are from `cascade_rule.paired_runs`, for ``validation`` and ``test``.
+    """
+    estimators = order_of(next(iter(runs.values()))["estimator"])
+    columns = min(_COLUMNS, len(estimators))
+    rows = -(-len(estimators) // columns)
+    with styled(rows, columns, (2.6 * columns, 2.2 * rows + 0.6), sharex=True, sharey=True) as (figure, axes):
+        panels = [axis for row in axes for axis in row]
+        for axis, estimator in zip(panels, estimators, strict=False):
+            for split, table in runs.items():
+                part, look = table[table["estimator"] == estimator], LOOKS[split]
+                front = trade_off(part, params, threshold_px)
+                x, loss = (100 * front[name].to_numpy() for name in ("preprocessed", "lost"))
+                x, loss = np.append(100.0, x), np.append(loss[0], loss)
+                axis.plot(x, loss, color=look.colour, ls=look.line, lw=1.4, drawstyle="steps-pre")
+                kept = kept_runs(part, [rule])
+                lost = 100 * float(lost_runs(part, kept, threshold_px).mean())
+                how: Any = {"color": look.colour, "ms": 7, "mec": "white", "zorder": 4, "clip_on": False}
+                axis.plot(100 * (1 - np.mean(kept)), lost, look.marker, **how)
+            axis.axhline(100 * params.tolerance, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
+            axis.set(title=estimator, xlim=(0, 100))
+        for axis in panels[len(estimators) :]:
+            axis.set_visible(False)
+        for row in axes:
+            row[0].set_ylabel("runs lost, %")
+        for axis in axes[-1]:
+            axis.set_xlabel("runs preprocessed, %")
+        for look in LOOKS.values():
+            panels[0].plot([], [], color=look.colour, ls=look.line, marker=look.marker, label=look.label)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=2)
+        save(figure, path)

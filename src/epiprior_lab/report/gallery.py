@@ -1,0 +1,176 @@
+"""The hardest rescued and the lost pairs: best matches and epipolar lines in both images, before and after.
+
+Photographs may not be passed on. So every picture exists twice: on the photographs, in a folder that stays here, and
+on blank frames of the same size, for the page that is committed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
+from epiprior.types import BoolArray, Status
+from epiprior_lab.evaluation.inputs import match_pair
+from epiprior_lab.evaluation.protocol import Protocol
+from epiprior_lab.evaluation.runs import estimates
+from epiprior_lab.pairsets import Pair
+from epiprior_lab.report.page import Block, Page, Picture, Section
+from epiprior_lab.report.prose import say
+from epiprior_lab.report.results import Results
+from epiprior_lab.report.tables import SNN
+from epiprior_lab.report.text import BASELINES, OURS, input_title, share
+
+RESCUED, LOST = "rescued", "lost"
+_BLANK = 235
+_SETTINGS = DrawSettings(max_matches=60, max_panel_size=560)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A pair that is shown: `RESCUED` or `LOST` by `changed` of so many estimators `of`.
+
+    Of `estimator` and of both `inputs`, the second ours: shares of runs that succeeded, the seeds with the median
+    error, which are drawn, and the statuses of these runs.
+    """
+
+    kind: str
+    group: str
+    pair_id: str
+    difficulty: str
+    right_share: float
+    estimator: str
+    inputs: tuple[str, str]
+    changed: int
+    of: int
+    succeeded: tuple[float, float]
+    seeds: tuple[int, int]
+    statuses: tuple[str, str]
+
+    @property
+    def name(self) -> str:
+        """For files."""
+        return f"{self.kind}-{self.group}-{self.pair_id}"
+
+
+def choose_cases(results: Results, estimator: str, *, rescued: int, lost: int, success_px: float) -> list[Case]:
+    """Return so many pairs to show at most, of those that count in the total.
+
+    Rescued: most runs of the estimator fail without preprocessing and succeed with it, and the run that is drawn with
+    it has the status `ok`; those with the fewest right matches in X_L first. Lost: the reverse, by as many estimators
+    as possible, against the input without preprocessing or against `SNN`, whichever more of them lose against; drawn
+    is the given estimator where it is among them, otherwise the one that loses most runs.
+    """
+    runs = _Runs(results, success_px)
+    pairs = results.tables.pairs
+    order = pairs.assign(rank=pairs["right_share"].fillna(1.0)).sort_values(["rank", "group", "pair_id"], kind="stable")
+    counted = results.masks["all"]
+    places = [int(str(k)) for k in order.index if counted[int(str(k))]]
+    found = [runs.case(RESCUED, k, estimator, BASELINES[0]) for k in places]
+    shown = [c for c in found if c.succeeded[0] < 0.5 < c.succeeded[1] and c.statuses[1] == Status.OK][:rescued]
+    numbers = {against: np.sum(list(losing.values()), axis=0) for against, losing in runs.losing.items() if losing}
+    most = np.max(list(numbers.values()), axis=0)
+    for k in sorted((k for k in places if most[k]), key=lambda k: -most[k])[:lost]:
+        against = max(numbers, key=lambda name: numbers[name][k])
+        cases = [runs.case(LOST, k, e, against) for e, losing in runs.losing[against].items() if losing[k]]
+        shown.append(min(cases, key=lambda c: (c.estimator != estimator, c.succeeded[1] - c.succeeded[0])))
+    return shown
+
+
+class _Runs:
+    """Shares of successful runs of every pair, in the order of the pairs, and who changes sides."""
+
+    def __init__(self, results: Results, success_px: float) -> None:
+        self._results, self._pairs = results, results.tables.pairs
+        keys = ["group", "pair_id", "estimator", "input", "seed"]
+        self._status = results.tables.runs.set_index(keys)["status"].to_dict()
+        self._seeds = sorted(results.tables.runs["seed"].unique())
+        self._share = {
+            (e, name): results.errors.of(e, name, success_px) for e in results.estimators for name in results.inputs(e)
+        }
+        self.losing = {against: self._changing(LOST, against) for against in (BASELINES[0], SNN)}
+        self._rescued = self._changing(RESCUED, BASELINES[0])
+
+    def _inputs(self, estimator: str, against: str) -> tuple[str, str]:
+        return (self._results.inputs(estimator)[0] if against == BASELINES[0] else against, OURS)
+
+    def _changing(self, kind: str, against: str) -> dict[str, BoolArray]:
+        """Return, for each estimator that gets the other input, which pairs it rescues or loses."""
+        changing = {}
+        for estimator in self._results.estimators:
+            other, ours = (self._share.get((estimator, name)) for name in self._inputs(estimator, against))
+            if other is not None and ours is not None:
+                fails, works = (other, ours) if kind == RESCUED else (ours, other)
+                changing[estimator] = (fails < 0.5) & (works > 0.5)
+        return changing
+
+    def case(self, kind: str, place: int, estimator: str, against: str) -> Case:
+        """Return one pair as one estimator sees it."""
+        pair, inputs = self._pairs.iloc[place], self._inputs(estimator, against)
+        changing = self._rescued if kind == RESCUED else self.losing[against]
+        errors = [self._results.errors.values(estimator, name)[place] for name in inputs]
+        seeds = [int(self._seeds[np.argsort(e, kind="stable")[(len(e) - 1) // 2]]) for e in errors]
+        key = (pair["group"], pair["pair_id"], estimator)
+        statuses = [str(self._status[(*key, name, seed)]) for name, seed in zip(inputs, seeds, strict=True)]
+        shares = [float(self._share[estimator, name][place]) for name in inputs]
+        about = {name: str(pair[name]) for name in ("group", "pair_id", "difficulty")}
+        drawn = {"succeeded": tuple(shares), "seeds": tuple(seeds), "statuses": tuple(statuses)}
+        number = sum(bool(members[place]) for members in changing.values())
+        own: dict[str, Any] = {**about, **drawn, "right_share": float(pair["right_share"])}
+        return Case(kind=kind, estimator=estimator, inputs=inputs, changed=number, of=len(changing), **own)
+
+
+def draw_cases(
+    cases: Sequence[Case], pairs: Mapping[tuple[str, str], Pair], protocol: Protocol, *, photographs: Path, frames: Path
+) -> None:
+    """Draw every case of `pairs`, by (group, pair id), into two folders: ``<name>-<input>``.
+
+    On photographs (``.jpg``), in a folder that must not be passed on, and on blank frames (``.png``).
+    """
+    for folder in (photographs, frames):
+        folder.mkdir(parents=True, exist_ok=True)
+    for case in cases:
+        pair = pairs[case.group, case.pair_id]
+        blanks = [np.full((height, width, 3), _BLANK, np.uint8) for width, height in pair.sizes()]
+        matches = match_pair(pair, case.inputs)
+        for name, seed in zip(case.inputs, case.seeds, strict=True):
+            sets = matches.sets[name]
+            one, how = replace(matches, sets={name: sets}), protocol.hand_overs[case.estimator]
+            ((*_, found),) = estimates(one, pair.pair_id, estimator=case.estimator, seeds=(seed,), hand_overs=how)
+            used = next((matched for matched in sets if matched.roll_deg == found.roll_deg), sets[0])
+            for images, file in (
+                ((pair.image1, pair.image2), photographs / f"{case.name}-{name}.jpg"),
+                (blanks, frames / f"{case.name}-{name}.png"),
+            ):
+                write_picture(file, draw_matches(images[0], images[1], used, found, settings=_SETTINGS))
+
+
+def case_blocks(cases: Sequence[Case], folder: str, suffix: str) -> list[Block]:
+    """Return what a page shows of each case; its pictures are in `folder` beside the page."""
+    blocks: list[Block] = []
+    for case in cases:
+        right = share(case.right_share) or "unknown"
+        against = "the input without preprocessing" if case.inputs[0] in BASELINES else input_title(case.inputs[0])
+        verb = "rescue" if case.kind == RESCUED else "lose"
+        about = f"{case.changed} of {case.of} estimators {verb} it against {against}"
+        level = case.difficulty or "unlabelled"
+        blocks.append(f"**{case.kind}**: {case.group}, `{case.pair_id}` ({level}, right in X_L: {right}). {about}.")
+        pictures = []
+        for name, succeeded, status in zip(case.inputs, case.succeeded, case.statuses, strict=True):
+            caption = (
+                f"{input_title(name)}: {share(succeeded)} of the runs of {case.estimator} succeed; drawn: `{status}`"
+            )
+            alt = f"{case.pair_id}, {input_title(name)}: best matches and epipolar lines"
+            pictures.append(Picture(path=f"{folder}/{case.name}-{name}.{suffix}", alt=alt, caption=caption))
+        blocks.append(tuple(pictures))
+    return blocks
+
+
+def write_gallery(cases: Sequence[Case], folder: Path) -> None:
+    """Write the page of the pictures on photographs, beside them; it may not be passed on."""
+    section = Section(title="Pairs", blocks=case_blocks(cases, ".", "jpg"))
+    Page(title="Rescued and lost pairs", about=say("kept gallery"), sections=[section]).write(folder, markdown="")

@@ -1,0 +1,137 @@
+"""A page is built once, as sections of prose, tables and figures, and rendered as Markdown and as HTML."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jinja2
+from markdown_it import MarkdownIt
+from markupsafe import Markup
+
+import epiprior
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table of texts; cells may hold Markdown, and a row of a single cell is a heading for the rows below it.
+
+    So many columns in front are `texts`, the others are numbers. The HTML folds the table under the title `fold`, if
+    any.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    texts: int = 1
+    fold: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A picture beside the page: its `path` relative to the page, a text in its place, and a caption."""
+
+    path: str
+    alt: str
+    caption: str = ""
+
+
+Block = str | Table | Picture | tuple[Picture, ...]  # prose is Markdown; pictures of a tuple stand side by side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A heading and what stands below it; a section without any picture or row of a table is left out."""
+
+    title: str
+    blocks: Sequence[Block]
+
+    @property
+    def name(self) -> str:
+        """Of the link to it."""
+        return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+
+    @property
+    def shown(self) -> tuple[Block, ...]:
+        """The blocks, but for tables without rows; empty if nothing but prose is left."""
+        kept = tuple(block for block in self.blocks if not (isinstance(block, Table) and not block.rows) and block)
+        return () if all(isinstance(block, str) for block in kept) else kept
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """A title, what the page is about (Markdown), and sections."""
+
+    title: str
+    about: str
+    sections: Sequence[Section]
+
+    def write(self, folder: Path, *, markdown: str = "performance.md", html: str = "index.html") -> None:
+        """Write both files; an empty name leaves one out."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, render in ((markdown, render_markdown), (html, render_html)):
+            if name:
+                (folder / name).write_text(render(self), encoding="utf-8", newline="\n")
+
+
+def table_lines(table: Table) -> list[str]:
+    """Return a table as lines of Markdown."""
+    width = len(table.head)
+    rule = "|" + "---|" * table.texts + "---:|" * (width - table.texts)
+    rows = ([f"**{row[0]}**", *[""] * (width - 1)] if len(row) == 1 else row for row in table.rows)
+    lines = [table.head, *rows]
+    texts = ["| " + " | ".join(row) + " |" for row in lines]
+    return [texts[0], rule, *texts[1:]]
+
+
+def render_markdown(page: Page) -> str:
+    """Return a page as Markdown."""
+    lines = [f"# {page.title}", "", *_prose(page.about)]
+    for section in page.sections:
+        if section.shown:
+            lines += ["", f"## {section.title}"]
+        for block in section.shown:
+            if isinstance(block, Table):
+                lines += ["", *([f"### {block.fold}", ""] if block.fold else []), *table_lines(block)]
+            elif isinstance(block, str):
+                lines += ["", *_prose(block)]
+            else:
+                for picture in block if isinstance(block, tuple) else (block,):
+                    lines += ["", f"![{picture.alt}]({picture.path})"]
+                    lines += ["", *_prose(picture.caption)] if picture.caption else []
+    return "\n".join(lines) + "\n"
+
+
+_WRAPPER = textwrap.TextWrapper(110, break_long_words=False, break_on_hyphens=False)
+_ITEM = textwrap.TextWrapper(110, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+
+
+def _prose(text: str) -> list[str]:
+    """Return paragraphs and lists with lines of at most 110 characters."""
+    lines: list[str] = []
+    for line in text.splitlines():
+        lines += (_ITEM if line.startswith("- ") else _WRAPPER).wrap(line) or [""]
+    return lines
+
+
+def render_html(page: Page) -> str:
+    """Return a page as HTML, all of it in one file but for the pictures."""
+    reader = MarkdownIt("commonmark", {"html": False})
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("epiprior_lab.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["inline"] = lambda text: Markup(reader.renderInline(text))
+    environment.filters["prose"] = lambda text: Markup(reader.render(text))
+    environment.tests["prose"] = lambda block: isinstance(block, str)
+    environment.tests["table"] = lambda block: isinstance(block, Table)
+    environment.tests["picture"] = lambda block: isinstance(block, Picture)
+    sections = [section for section in page.sections if section.shown]
+    template = environment.get_template("page.html.j2")
+    return template.render(page=page, sections=sections, version=epiprior.__version__)

@@ -1,0 +1,120 @@
+"""Tables and figures of time: of each estimator by outcome, and of the whole pipeline against what it contributes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from epiprior_lab.evaluation.records import CASCADE
+from epiprior_lab.evaluation.statistics import contribution
+from epiprior_lab.report import figures
+from epiprior_lab.report.bounds import Bound, bound_rows, judge
+from epiprior_lab.report.page import Page, Section, Table
+from epiprior_lab.report.prose import picture
+from epiprior_lab.report.results import Results
+from epiprior_lab.report.tables import write_table
+from epiprior_lab.report.text import ALL, BASELINES, input_title, number, order_of, share
+
+
+def seconds_table(timings: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
+    """Return how long each estimator takes on each input when it succeeds and when it fails.
+
+    Parameters
+    ----------
+    timings : DataFrame
+        Rows of `records.TimingRecord`.
+    threshold_px : float
+        Of success, pixels.
+
+    Returns
+    -------
+    DataFrame
+        ``estimator, input, outcome`` (``success`` or ``failure``), ``runs``, and mean, median and longest seconds of
+        the estimator alone; outcomes that did not occur have no row.
+    """
+    table = timings[timings["input"] != CASCADE]
+    table = table.assign(outcome=np.where(table["error_px"] < threshold_px, "success", "failure"))
+    grouped = table.groupby(["estimator", "input", "outcome"], sort=False)["seconds_estimator"]
+    return grouped.agg(runs="size", mean="mean", median="median", longest="max").reset_index()
+
+
+def overhead_table(timings: pd.DataFrame, results: Results, threshold_px: float) -> pd.DataFrame:
+    """Return the time with the preprocessing step over the time without, matching included.
+
+    Returns
+    -------
+    DataFrame
+        One row per input with the step (presets and `CASCADE`), group and estimator (`ALL` last, of both): ``runs``;
+        ``seconds_without`` and ``seconds_with``, means over runs; ``overhead``, their ratio, the paper's definition;
+        ``median_overhead``, the median over runs of the ratio of the same pair, estimator and seed; ``preprocessed``,
+        the share of runs whose matches were ranked; ``contribution`` to successes, NaN over several estimators.
+    """
+    keys = ["group", "pair_id", "estimator", "seed"]
+    without = timings[timings["input"].isin(BASELINES)][[*keys, "seconds_total"]]
+    table = timings.merge(without, on=keys, suffixes=("", "_without"), validate="many_to_one")
+    names = [name for name in order_of(timings["input"]) if name in ("paper", "default", CASCADE)]
+    rows = []
+    for name in names:
+        for group in (*order_of(timings["group"]), ALL):
+            for estimator in (*order_of(timings["estimator"]), ALL):
+                part = table[table["input"] == name]
+                part = part if group == ALL else part[part["group"] == group]
+                part = part if estimator == ALL else part[part["estimator"] == estimator]
+                if part.empty:
+                    continue
+                row: dict[str, Any] = {"input": name, "group": group, "estimator": estimator, "runs": len(part)}
+                row["seconds_without"] = part["seconds_total_without"].mean()
+                row["seconds_with"] = part["seconds_total"].mean()
+                row["overhead"] = row["seconds_with"] / row["seconds_without"]
+                row["median_overhead"] = (part["seconds_total"] / part["seconds_total_without"]).median()
+                row["preprocessed"] = part["preprocessed"].mean()
+                row["contribution"] = np.nan
+                if estimator != ALL and name != CASCADE:
+                    inputs = (results.inputs(estimator)[0], name)
+                    a, b = (results.errors.of(estimator, i, threshold_px)[results.masks[group]].mean() for i in inputs)
+                    row["contribution"] = float(contribution(a, b))
+                rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def write_timings(timings: pd.DataFrame, results: Results, out: Path, threshold_px: float, bounds: list[Bound]) -> None:
+    """Write tables, figures and a page of the times of an evaluation: ``times.md`` and what it shows."""
+    overhead, seconds = overhead_table(timings, results, threshold_px), seconds_table(timings, threshold_px)
+    judged = judge(bounds, overhead=overhead)
+    for name, table in (("overhead", overhead), ("estimators", seconds), ("bounds", judged)):
+        if len(table):
+            write_table(table, out / f"{name}.csv")
+    single = (overhead["group"] != ALL) & (overhead["estimator"] != ALL) & (overhead["input"] != CASCADE)
+    figures.overhead_figure(overhead[single], out / "overhead.png")
+    figures.seconds_figure(seconds, out / "estimators.png")
+    rows = []
+    whole = overhead[overhead["group"] == ALL]
+    for preset, part in whole.groupby("input", sort=False):
+        rows.append([input_title(str(preset))])
+        for row in part.to_dict("records"):
+            times = [
+                number(row[column], 2) for column in ("seconds_without", "seconds_with", "overhead", "median_overhead")
+            ]
+            rows.append([row["estimator"], str(row["runs"]), *times, share(row["preprocessed"])])
+    head = (
+        "estimator",
+        "runs",
+        "seconds without",
+        "seconds with",
+        "ratio",
+        "ratio, median of runs",
+        "runs preprocessed",
+    )
+    sections = [
+        Section(title="From images to F", blocks=[Table(head=head, rows=rows), picture("overhead", "overhead.png")]),
+        Section(title="Each estimator alone", blocks=[picture("estimators", "estimators.png")]),
+        Section(title="Bounds", blocks=[Table(head=("bound", "found", "met"), rows=bound_rows(judged), texts=3)]),
+    ]
+    number_of_pairs = len(timings[["group", "pair_id"]].drop_duplicates())
+    about = (
+        f"{number_of_pairs} pairs, {timings['estimator'].nunique()} estimators, one run at a time, matching included."
+    )
+    Page(title="Times", about=about, sections=sections).write(out, markdown="times.md", html="")
