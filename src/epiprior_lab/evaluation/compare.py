@@ -48,11 +48,11 @@ class Rates:
     @property
     def estimators(self) -> list[str]:
         """Estimators in the order of the runs."""
-        return list(dict.fromkeys(estimator for estimator, _ in self._parts))
+        return list(dict.fromkeys(str(estimator) for estimator, _ in self._parts))
 
     def inputs(self, estimator: str) -> list[str]:
         """Return the inputs of one estimator, in the order of the runs."""
-        return [name for owner, name in self._parts if owner == estimator]
+        return [str(name) for owner, name in self._parts if owner == estimator]
 
     def values(self, estimator: str, name: str) -> FloatArray:
         """Return the measure, shape (pairs, seeds); infinite without an F or where the truth does not allow it."""

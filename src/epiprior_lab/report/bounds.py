@@ -64,14 +64,7 @@ def judge(
 ) -> pd.DataFrame:
     """Return every bound that the given results allow to judge, and whether it is met.
 
-    Parameters
-    ----------
-    bounds : list of Bound
-        What was wanted.
-    results : Results, optional
-        Beside `tables` (``successes``, ``duels``, ``rankings``, as from the module of that name).
-    overhead : DataFrame, optional
-        As from `timing.overhead_table`.
+    `results` go with `tables` (``successes``, ``duels``, ``rankings``); `overhead` is from `timing.overhead_table`.
 
     Returns
     -------

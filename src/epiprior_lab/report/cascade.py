@@ -11,7 +11,7 @@ import pandas as pd
 
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
-from epiprior_lab.report.page import Page, Section, Table
+from epiprior_lab.report.page import Block, Page, Section, Table
 from epiprior_lab.report.prose import picture, say
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.style import MUTED, Look, save, styled
@@ -91,7 +91,7 @@ def learnt_page(learnt: LearntRule, params: CascadeParams, success_px: float, st
     values = {"tolerance": params.tolerance, "strict_tolerance": params.strict_tolerance}
     about = say("learnt", rule=rule_in_words(learnt.rule), success_px=success_px, strict_px=strict_px, **values)
     head = ("estimator", "preprocessed", "lost", "preprocessed, held out", "lost, held out")
-    blocks = [Table(head=head, rows=rows), picture("cascade", figure)]
+    blocks: list[Block] = [Table(head=head, rows=rows), picture("cascade", figure)]
     section = Section(title="The rule on validation scenes", blocks=blocks)
     return Page(title="The cascade: preprocessing only where it is needed", about=about, sections=[section])
 
@@ -101,16 +101,7 @@ def cascade_figure(
 ) -> None:
     """Draw the trade-off of every estimator, one panel each: all candidate rules in hindsight, and the chosen one.
 
-    Parameters
-    ----------
-    runs : mapping of str to DataFrame
-        For ``validation`` and ``test`` the runs of all estimators, as from `cascade_rule.paired_runs`.
-    rule, params : CascadeRule, CascadeParams
-        The chosen rule, the candidates and the tolerance.
-    threshold_px : float
-        Of success, pixels.
-    path : Path
-        PNG file.
+    `runs` are from `cascade_rule.paired_runs`, for ``validation`` and ``test``.
     """
     estimators = order_of(next(iter(runs.values()))["estimator"])
     columns = min(_COLUMNS, len(estimators))

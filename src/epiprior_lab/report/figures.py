@@ -69,17 +69,7 @@ def _names(axis: Axes, names: Sequence[str]) -> FloatArray:
 
 
 def success_figure(successes: pd.DataFrame, groups: Sequence[str], thresholds_px: Sequence[float], path: Path) -> None:
-    """Draw successes, a dot per estimator and input: a row per threshold, a column per group.
-
-    Parameters
-    ----------
-    successes : DataFrame
-        As from `tables.success_table`.
-    groups, thresholds_px
-        What is shown.
-    path : Path
-        PNG file.
-    """
+    """Draw successes, a dot per estimator and input: a row per threshold, a column per group."""
     estimators, looks = order_of(successes["estimator"]), _looks(order_of(successes["input"]))
     size = (2.6 * len(groups) + 0.8, (0.27 * len(estimators) + 0.75) * len(thresholds_px) + 0.4)
     with styled(len(thresholds_px), len(groups), size, sharey=True) as (figure, axes):
@@ -206,15 +196,7 @@ def ranking_figure(results: Results, path: Path) -> None:
 
 
 def roll_figure(densities: Mapping[str, tuple[FloatArray, FloatArray, float]], path: Path) -> None:
-    """Draw densities of the roll on a full turn, a panel per pair.
-
-    Parameters
-    ----------
-    densities : mapping of str to (angles, density, true roll)
-        By pair; degrees and 1/degree.
-    path : Path
-        PNG file.
-    """
+    """Draw densities on a full turn: by pair its angles, the density, 1/degree, and the true roll, degrees."""
     columns = min(3, len(densities))
     rows = -(-len(densities) // columns)
     with styled(rows, columns, (3.4 * columns, 2.1 * rows + 0.4)) as (figure, axes):
@@ -276,7 +258,7 @@ def status_figure(statuses: pd.DataFrame, groups: Sequence[str], path: Path) -> 
         for axis, (kind, title) in zip(axes[0], panels, strict=True):
             tallest = 0.0
             for k, (name, look) in enumerate(looks.items()):
-                part = statuses[statuses["input"] == name].set_index("group").reindex(groups)
+                part = statuses[statuses["input"] == name].set_index("group").reindex(list(groups))
                 number = part[kind].where(part[kind] >= MIN_BAR)
                 bottom, above = (
                     (100 * part[f"{kind}_{status}"] / number).fillna(0.0).to_numpy(np.float64)
@@ -420,15 +402,7 @@ def overhead_figure(overhead: pd.DataFrame, path: Path) -> None:
 
 
 def seconds_figure(table: pd.DataFrame, path: Path) -> None:
-    """Draw milliseconds per run of each estimator: for successes and for failures, hollow for few runs.
-
-    Parameters
-    ----------
-    table : DataFrame
-        ``estimator, input, outcome, runs, mean``; the number of runs stands beside each dot.
-    path : Path
-        PNG file.
-    """
+    """Draw milliseconds per run of each estimator (`timing.seconds_table`), by outcome; hollow for few runs."""
     estimators, looks = order_of(table["estimator"]), _looks(order_of(table["input"]))
     with styled(1, 2, (9.6, 0.45 * len(estimators) + 1.3), sharex=True, sharey=True) as (figure, axes):
         for axis, outcome in zip(axes[0], ("success", "failure"), strict=True):

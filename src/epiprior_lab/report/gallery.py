@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,26 +32,10 @@ _SETTINGS = DrawSettings(max_matches=60, max_panel_size=560)
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A pair that is shown.
+    """A pair that is shown: `RESCUED` or `LOST` by `changed` of so many estimators `of`.
 
-    Parameters
-    ----------
-    kind : str
-        `RESCUED` or `LOST`.
-    group, pair_id, difficulty, right_share
-        Of the pair.
-    estimator : str
-        Whose runs are drawn.
-    inputs : tuple of str
-        What is compared with ours, and ours.
-    changed, of : int
-        Of so many estimators, how many change sides in the same way.
-    succeeded : tuple of float
-        Shares of the runs of `estimator`, of both inputs.
-    seeds : tuple of int
-        Run with the median error, of both inputs: what is drawn.
-    statuses : tuple of str
-        Of these runs.
+    Of `estimator` and of both `inputs`, the second ours: shares of runs that succeeded, the seeds with the median
+    error, which are drawn, and the statuses of these runs.
     """
 
     kind: str
@@ -73,26 +58,12 @@ class Case:
 
 
 def choose_cases(results: Results, estimator: str, *, rescued: int, lost: int, success_px: float) -> list[Case]:
-    """Return the pairs to show, of those that count in the total.
+    """Return so many pairs to show at most, of those that count in the total.
 
-    Parameters
-    ----------
-    results : Results
-        Results.
-    estimator : str
-        Whose rescued pairs are shown, and whose lost ones where it loses them.
-    rescued, lost : int
-        How many at most.
-    success_px : float
-        Of success, pixels.
-
-    Returns
-    -------
-    list of Case
-        Rescued: most runs of the estimator fail without preprocessing and succeed with it, and the run that is drawn
-        with it has the status `ok`; those with the fewest right matches in X_L first. Lost: the reverse, by as many
-        estimators as possible, against the input without preprocessing or against `SNN`, whichever more of them lose
-        against; drawn is the given estimator where it is among them, otherwise the one that loses most runs.
+    Rescued: most runs of the estimator fail without preprocessing and succeed with it, and the run that is drawn with
+    it has the status `ok`; those with the fewest right matches in X_L first. Lost: the reverse, by as many estimators
+    as possible, against the input without preprocessing or against `SNN`, whichever more of them lose against; drawn
+    is the given estimator where it is among them, otherwise the one that loses most runs.
     """
     runs = _Runs(results, success_px)
     pairs = results.tables.pairs
@@ -146,37 +117,19 @@ class _Runs:
         key = (pair["group"], pair["pair_id"], estimator)
         statuses = [str(self._status[(*key, name, seed)]) for name, seed in zip(inputs, seeds, strict=True)]
         shares = [float(self._share[estimator, name][place]) for name in inputs]
-        return Case(
-            kind=kind,
-            group=str(pair["group"]),
-            pair_id=str(pair["pair_id"]),
-            difficulty=str(pair["difficulty"]),
-            right_share=float(pair["right_share"]),
-            estimator=estimator,
-            inputs=inputs,
-            changed=sum(bool(members[place]) for members in changing.values()),
-            of=len(changing),
-            succeeded=(shares[0], shares[1]),
-            seeds=(seeds[0], seeds[1]),
-            statuses=(statuses[0], statuses[1]),
-        )
+        about = {name: str(pair[name]) for name in ("group", "pair_id", "difficulty")}
+        drawn = {"succeeded": tuple(shares), "seeds": tuple(seeds), "statuses": tuple(statuses)}
+        number = sum(bool(members[place]) for members in changing.values())
+        own: dict[str, Any] = {**about, **drawn, "right_share": float(pair["right_share"])}
+        return Case(kind=kind, estimator=estimator, inputs=inputs, changed=number, of=len(changing), **own)
 
 
 def draw_cases(
     cases: Sequence[Case], pairs: Mapping[tuple[str, str], Pair], protocol: Protocol, *, photographs: Path, frames: Path
 ) -> None:
-    """Draw every case, on photographs (``.jpg``) and on blank frames (``.png``): ``<name>-<input>``.
+    """Draw every case of `pairs`, by (group, pair id), into two folders: ``<name>-<input>``.
 
-    Parameters
-    ----------
-    cases : sequence of Case
-        As from `choose_cases`.
-    pairs : mapping of (group, pair id) to Pair
-        Where the photographs are.
-    protocol : Protocol
-        Of the evaluation: its hand-overs.
-    photographs, frames : Path
-        Folders, made if absent; that of the photographs must not be passed on.
+    On photographs (``.jpg``), in a folder that must not be passed on, and on blank frames (``.png``).
     """
     for folder in (photographs, frames):
         folder.mkdir(parents=True, exist_ok=True)

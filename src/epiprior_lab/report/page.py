@@ -17,18 +17,10 @@ import epiprior
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of texts; cells may hold Markdown.
+    """A table of texts; cells may hold Markdown, and a row of a single cell is a heading for the rows below it.
 
-    Parameters
-    ----------
-    head : sequence of str
-        Titles of the columns.
-    rows : sequence of sequence of str
-        One cell per column; a row of a single cell is a heading for the rows below it.
-    texts : int
-        So many columns in front are text, the others are numbers.
-    fold : str
-        Title under which the HTML folds the table; empty: it stays open.
+    So many columns in front are `texts`, the others are numbers. The HTML folds the table under the title `fold`, if
+    any.
     """
 
     head: Sequence[str]
@@ -112,13 +104,15 @@ def render_markdown(page: Page) -> str:
     return "\n".join(lines) + "\n"
 
 
+_WRAPPER = textwrap.TextWrapper(110, break_long_words=False, break_on_hyphens=False)
+_ITEM = textwrap.TextWrapper(110, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+
+
 def _prose(text: str) -> list[str]:
     """Return paragraphs and lists with lines of at most 110 characters."""
     lines: list[str] = []
     for line in text.splitlines():
-        indent = "  " if line.startswith("- ") else ""
-        kept = {"break_long_words": False, "break_on_hyphens": False}
-        lines += textwrap.wrap(line, 110, subsequent_indent=indent, **kept) or [""]
+        lines += (_ITEM if line.startswith("- ") else _WRAPPER).wrap(line) or [""]
     return lines
 
 

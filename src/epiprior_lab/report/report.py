@@ -35,23 +35,10 @@ HAND_OVER_COLUMNS = "estimator input step top_k one_to_one threshold_px pairs su
 class Extras:
     """What a report shows beside the results; each may be left out.
 
-    Parameters
-    ----------
-    rule : CascadeRule, optional
-        Of the cascade.
-    bounds : sequence of Bound
-        What was wanted.
-    known_sets : sequence of KnownSet
-        Sets that are listed even where they are not present.
-    classifiers, hand_over : DataFrame, optional
-        Cross-validation (`read_classifiers`) and the search on validation scenes.
-    pictures : mapping of str to Path
-        Made by others, in the report's folder: ``contact_sheet``, ``example``, ``roll``, ``cascade``, ``overhead``,
-        ``estimators``, and those of the analysis.
-    cases : sequence of Case
-        Of the gallery; their pictures are drawn already.
-    gallery : Path, optional
-        Folder of those on photographs, which stays here; its page is written too.
+    `known_sets` are listed even where they are not present. `classifiers` are from `read_classifiers`, `hand_over` is
+    the search on validation scenes. `pictures` are made by others, in the report's folder: ``contact_sheet, example,
+    roll, cascade, overhead, estimators`` and those of the analysis. Those of the `cases` are drawn already; `gallery`
+    is the folder of those on photographs, which stays here: its page is written too.
     """
 
     rule: CascadeRule | None = None
@@ -99,7 +86,7 @@ def make_tables(results: Results, params: ReportParams, extras: Extras) -> dict[
         made["classifiers"] = tables.classifier_table(extras.classifiers)
     if extras.hand_over is not None:
         made["hand_over"] = extras.hand_over
-    made["bounds"] = judge(extras.bounds, results=results, tables=made)
+    made["bounds"] = judge(list(extras.bounds), results=results, tables=made)
     return {name: table for name, table in made.items() if len(table)}
 
 
@@ -129,16 +116,7 @@ def write_report(
 ) -> dict[str, pd.DataFrame]:
     """Write ``index.html`` and ``performance.md``, ``tables/`` and ``figures/``; return the tables.
 
-    Parameters
-    ----------
-    results, params
-        As from `read_results`, and what is shown of it.
-    extras : Extras
-        What else is shown.
-    kind : str
-        One of `TITLES`.
-    out : Path
-        Folder.
+    `kind` is one of `TITLES`: of the title and the prose.
     """
     made = make_tables(results, params, extras)
     for name, table in made.items():

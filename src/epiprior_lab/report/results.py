@@ -26,20 +26,10 @@ class ReportError(EpipriorError):
 
 
 class Results:
-    """The results of an evaluation.
+    """The results of an evaluation, compared by ``group`` (families of scenes) or by ``difficulty``.
 
-    Parameters
-    ----------
-    tables : Tables
-        Of all groups, in the order of the report.
-    by : str
-        What a reader compares: ``group`` (families of scenes) or ``difficulty``.
-    hard : sequence of str
-        The groups of `by` that are hard.
-    apart : sequence of str
-        Groups that are part of no total and no difficulty.
-    draws, seed : int
-        Of the bootstrap, which draws whole scenes.
+    Groups in `apart` are part of no total and no difficulty; `hard` are those of `by` that are hard; `draws` and `seed`
+    are of the bootstrap, which draws whole scenes.
 
     Attributes
     ----------
@@ -69,7 +59,9 @@ class Results:
     @property
     def hard_pairs(self) -> BoolArray:
         """Pairs of the hard groups."""
-        return np.any([self.masks[name] for name in self.hard] or [np.zeros(len(self.scenes), np.bool_)], axis=0)
+        return np.asarray(
+            np.any([self.masks[name] for name in self.hard] or [np.zeros(len(self.scenes), np.bool_)], axis=0)
+        )
 
     @property
     def inputs_of_all(self) -> list[str]:
@@ -112,7 +104,7 @@ class Results:
     def per_scene(self, values: FloatArray, member: BoolArray) -> FloatArray:
         """Return means over the pairs of each scene, by scene: pairs of one scene are alike."""
         means = pd.Series(values[member]).groupby(self.scenes[member], sort=True).mean()
-        return means.to_numpy(np.float64)
+        return np.asarray(means, np.float64)
 
     def interval(self, name: str, interval: Interval, member: BoolArray, factor: float = 1.0) -> dict[str, float]:
         """Return the columns `name`, `name`_low and `name`_high of an interval, times `factor`.

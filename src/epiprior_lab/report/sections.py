@@ -47,20 +47,8 @@ _SETTINGS = ("max_distance_ratio", "top_k", "one_to_one", "threshold_px", "refin
 class Material:
     """Everything that a report shows.
 
-    Parameters
-    ----------
-    results, params : Results, ReportParams
-        What was found, and what is shown of it.
-    tables : mapping of str to DataFrame
-        By the names of their CSV files; those that there are.
-    figures : mapping of str to str
-        Paths of figures and pictures, relative to the page, by their names; those that there are.
-    kind : str
-        ``study``, ``photographs`` or ``folder``: of the prose.
-    rule : str
-        Of the cascade, in words.
-    cases : sequence of Case
-        Of the gallery; `kept` is the page of the same one on photographs.
+    `tables` are by the names of their CSV files, `figures` paths relative to the page; those that there are. `kind` is
+    one of `report.TITLES`, `rule` that of the cascade in words, `kept` the page of the gallery on photographs.
     """
 
     results: Results
@@ -112,16 +100,9 @@ def all_sections(material: Material) -> list[Section]:
 def summary_table(
     successes: pd.DataFrame, cascade: pd.DataFrame | None, groups: Sequence[str], px: Sequence[float]
 ) -> Table:
-    """Return the small table: per input, with the estimator that serves it best, shares of pairs that succeed.
+    """Return the small table: per input shares of pairs that succeed, a column per threshold `px` and group.
 
-    Parameters
-    ----------
-    successes, cascade : DataFrame
-        As from `tables.success_table` and `cascade.cascade_table`.
-    groups : sequence of str
-        Columns, for each of the thresholds.
-    px : sequence of float
-        Thresholds; the estimator is the best over all pairs below the first, pixels.
+    Every input has the estimator that serves it best over all pairs below the first threshold.
     """
     columns = ["threshold_px", "group", "estimator", "pairs", "input", "successes"]
     table = successes[columns]
@@ -138,7 +119,7 @@ def summary_table(
         best = str(of_input["estimator"].iloc[0])
         own = table[(table["input"] == name) & (table["estimator"] == best)].set_index(["group", "threshold_px"])
         who.append(["cascade of X_L and ours" if name == CASCADE else input_title(name), best])
-        values.append([100 * float(own.loc[(g, t), "successes"]) / sizes[g] for t in px for g in groups])
+        values.append([100 * own["successes"][g, t] / sizes[g] for t in px for g in groups])
     texts = zip(*(best_bold(column) for column in zip(*values, strict=True)), strict=True)
     head = ["matches", "estimator", *(f"{group_title(g, int(sizes[g]))}, {t:g} px" for t in px for g in groups)]
     return Table(head=head, rows=[[*names, *cells] for names, cells in zip(who, texts, strict=True)], texts=2)
@@ -176,6 +157,10 @@ def _successes(m: Material) -> Iterator[Block]:
     if len(at):
         yield _success_block(at, f"Every set, below {success_px:g} px")
     yield m.picture("curves")
+
+
+def _named(row: Row) -> dict[str, Any]:
+    return {str(name): value for name, value in row.items()}
 
 
 def _compact(at: pd.DataFrame, m: Material) -> Table:
@@ -258,7 +243,7 @@ def _poses(m: Material) -> Iterator[Block]:
     cameras = at.drop_duplicates("group").set_index("group")["cameras"].to_dict()
     head = [_names(m), *(f"{group_title(g, cameras.get(g, 0))}, {t:g}°" for g, t in places)]
     yield Table(head=head, rows=rows)
-    columns = {}
+    columns: dict[str, str] = {}
     for limit in degrees:
         columns |= {f"auc_{limit:g}": f"pose, AUC {limit:g}°", f"scene_auc_{limit:g}": "per scene"}
     columns["distance_recall"] = f"distance < {m.params.distance_recall:g}"
@@ -297,7 +282,7 @@ def _calibration(m: Material) -> Iterator[Block]:
             title = group_title(group)
             if row["input"] == OURS and not np.isnan(row.get("gap_stated", np.nan)):
                 name = "calibration of all" if group == ALL else "calibration of a group"
-                sentences.append(say(name, title=title[0].upper() + title[1:], **row))
+                sentences.append(say(name, title=title[0].upper() + title[1:], **_named(row)))
             rows.append(
                 [input_title(row["input"]), title, f"{row['matches']:,}", f"{row['right']:,}"]
                 + [number(row["brier_score"], 4), number(row["expected_calibration_error"], 4)]
@@ -425,7 +410,8 @@ def _limits(m: Material) -> Iterator[Block]:
         return
     records = m.tables["limits"].to_dict("records")
     known = {"champion": m.params.champion, "success_px": m.params.success_px}
-    yield say("limits", **records[0], **known, nobody=records[0]["failing"] - records[0]["anyone"])
+    name = "limits" if records[0]["failing"] else "no limits"
+    yield say(name, **_named(records[0]), **known, nobody=records[0]["failing"] - records[0]["anyone"])
     titles = {
         "pairs": "pairs",
         "failing": "failing",

@@ -14,7 +14,7 @@ from epiprior.types import BoolArray, Status
 from epiprior_lab.evaluation.records import right_column
 from epiprior_lab.evaluation.statistics import CalibrationBins, Interval, success_curve
 from epiprior_lab.report.results import ROUNDING, ReportError, Results
-from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, input_title, order_of
+from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, order_of
 
 SNN = "snn"
 DEPTHS = (10, 100, 500)
@@ -111,16 +111,7 @@ def decided(difference: Interval) -> str:
 def geometry_table(results: Results, pose_deg: Sequence[float], recall_at: float, success_px: float) -> pd.DataFrame:
     """Return poses and distances by group, estimator and input.
 
-    Parameters
-    ----------
-    results : Results
-        Results.
-    pose_deg : sequence of float
-        Limits of the area under the curve of pose errors (the larger of both angles), degrees.
-    recall_at : float
-        A run is recalled below this normalised symmetric geometric distance.
-    success_px : float
-        Of success, pixels.
+    Pose errors are the larger of both angles, distances the normalised symmetric geometric ones.
 
     Returns
     -------
@@ -174,8 +165,9 @@ def ranking_table(results: Results) -> pd.DataFrame:
     index = pd.MultiIndex.from_frame(results.tables.pairs[columns])
     ranked = results.tables.rankings
     ranked = ranked.assign(**{f"precision_{depth}": ranked[right_column(depth)] / depth for depth in DEPTHS})
-    parts = {
-        key: part.set_index(columns).reindex(index) for key, part in ranked.groupby(["input", "ranking"], sort=False)
+    parts: dict[tuple[str, str], pd.DataFrame] = {
+        (str(name), str(ranking)): part.set_index(columns).reindex(index)
+        for (name, ranking), part in ranked.groupby(["input", "ranking"], sort=False)
     }
     keys = sorted(parts, key=lambda key: (key[0] not in BASELINES, key[0] == OURS))
     base = next((parts[key] for key in (("standard", "final"), *keys) if key in parts), None)
@@ -203,7 +195,7 @@ def calibration_sums(calibration: pd.DataFrame) -> CalibrationBins:
     """Return the sums over all pairs of the rows, bin by bin."""
     sums = calibration.groupby("bin", sort=True)[["count", "right", "probability", "squared_error"]].sum()
     kinds = {"count": np.int64, "right": np.int64, "probability": np.float64, "squared_error": np.float64}
-    return CalibrationBins(**{name: sums[name].to_numpy(kind) for name, kind in kinds.items()})  # type: ignore[arg-type]
+    return CalibrationBins(**{name: sums[name].to_numpy(kind) for name, kind in kinds.items()})
 
 
 def calibration_table(results: Results) -> pd.DataFrame:
@@ -379,11 +371,6 @@ def estimator_table(results: Results) -> pd.DataFrame:
 def classifier_table(metrics: pd.DataFrame) -> pd.DataFrame:
     """Return each metric of each classifier, with folds by scene and by row.
 
-    Parameters
-    ----------
-    metrics : DataFrame
-        ``preset, target, family, grouped, fold, metric, value`` of the cross-validation.
-
     Returns
     -------
     DataFrame
@@ -411,8 +398,3 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     """Write a table as CSV with six significant digits."""
     path.parent.mkdir(parents=True, exist_ok=True)
     table.to_csv(path, index=False, float_format="%.6g", lineterminator="\n")
-
-
-def titled(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table whose column `input` names inputs as a reader sees them."""
-    return table.assign(input=[input_title(str(name)) for name in table["input"]])

@@ -92,8 +92,8 @@ def write_timings(timings: pd.DataFrame, results: Results, out: Path, threshold_
     figures.seconds_figure(seconds, out / "estimators.png")
     rows = []
     whole = overhead[overhead["group"] == ALL]
-    for name, part in whole.groupby("input", sort=False):
-        rows.append([input_title(str(name))])
+    for preset, part in whole.groupby("input", sort=False):
+        rows.append([input_title(str(preset))])
         for row in part.to_dict("records"):
             times = [
                 number(row[column], 2) for column in ("seconds_without", "seconds_with", "overhead", "median_overhead")

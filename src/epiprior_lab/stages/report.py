@@ -54,9 +54,8 @@ def photograph_extras(params: Params, results: Results, out: Path) -> Extras:
         cases = choose_cases(
             results, gallery.estimator, rescued=gallery.rescued, lost=gallery.lost, success_px=success_px
         )
-        pairs = {
-            (g, pair.pair_id): pair for g in dict.fromkeys(case.group for case in cases) for pair in pairs_of(own, g)
-        }
+        shown = dict.fromkeys(case.group for case in cases)
+        pairs = {(group, pair.pair_id): pair for group in shown for pair in pairs_of(own, group)}
         draw_cases(cases, pairs, make_protocol(params), photographs=GALLERY, frames=out / "gallery")
     return Extras(
         rule=load_cascade_rule(MODELS / "cascade.json"),

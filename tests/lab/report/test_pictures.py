@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from epiprior_lab.pairsets import DatasetError, Pair
-from epiprior_lab.report.contact_sheet import _caption, contact_sheet
+from epiprior_lab.report.pictures import _caption, contact_sheet
 
 
 def pair_of(tmp_path, name, colour, shape=(90, 120)):

@@ -1,0 +1,94 @@
+"""Results of a made-up study and of made-up photographs, and their reports, each written once."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.pairsets import known_sets
+from epiprior_lab.params import PHOTOGRAPHS, GalleryParams, load_params
+from epiprior_lab.report.bounds import BOUNDS, load_bounds
+from epiprior_lab.report.gallery import choose_cases
+from epiprior_lab.report.report import Extras, read_results, write_report
+from synthetic_tables import APART, photograph_tables, study_tables
+
+ROOT = Path(__file__).parents[3]
+RULE = CascadeRule(min_plausibility=0.95)
+
+
+def metrics():
+    """Return the cross-validation of made-up classifiers."""
+    rows = []
+    for preset, target in (("paper", "two_keypoint"), ("default", "match")):
+        for k, family in enumerate(("tree", "svm")):
+            for grouped in (True, False):
+                for metric in ("precision_top_100", "average_precision", "accuracy", "precision"):
+                    row = {"preset": preset, "target": target, "family": family, "grouped": grouped, "metric": metric}
+                    value = 0.5 + 0.1 * k + 0.08 * (not grouped)
+                    rows += [row | {"fold": fold, "value": value + 0.01 * fold} for fold in range(4)]
+                    rows.append(row | {"fold": "all", "value": value})
+    return pd.DataFrame(rows)
+
+
+def search():
+    """Return a made-up search for hand-overs."""
+    base = {"one_to_one": True, "top_k": None, "max_distance_ratio": None, "threshold_px": 1.5, "refine": False}
+    rows = []
+    for estimator in ("usac", "epiprior"):
+        for name in ("standard", "default"):
+            for step, levels in (("top_k", (300, 500, None)), ("threshold_px", (1.0, 2.0)), ("refine", (True,))):
+                for k, level in enumerate(levels):
+                    row = {"estimator": estimator, "input": name, "step": step} | base | {step: level, "pairs": 48}
+                    rows.append(
+                        row | {"successes_10": 20 + k, "successes_3": 10, "area": 0.5, "chosen": step == "refine"}
+                    )
+    return pd.DataFrame(rows)
+
+
+@pytest.fixture(scope="session")
+def study():
+    """Results of a study, the parameters of its report, and what else it shows."""
+    params = replace(load_params(ROOT / "params.yaml").report, bootstrap_draws=100, hard_groups=("open",))
+    results = read_results(study_tables(pairs=8), params)
+    bounds = [
+        b
+        for b in load_bounds(ROOT / BOUNDS, "study")
+        if b.group in results.masks and b.estimator in ("usac", "epiprior", "every")
+    ]
+    extras = Extras(rule=RULE, bounds=bounds, classifiers=metrics(), hand_over=search())
+    return SimpleNamespace(results=results, params=params, extras=extras)
+
+
+@pytest.fixture(scope="session")
+def photographs(tmp_path_factory):
+    """The same for photographs; the pictures of the gallery are no pictures."""
+    root = tmp_path_factory.mktemp("photographs")
+    own = load_params(ROOT / PHOTOGRAPHS).report
+    params = replace(own, bootstrap_draws=100, gallery=GalleryParams(estimator="usac", rescued=2, lost=1))
+    results = read_results(photograph_tables(), params, apart=APART)
+    cases = choose_cases(results, "usac", rescued=2, lost=1, success_px=10.0)
+    bounds = load_bounds(ROOT / BOUNDS, "photographs")
+    extras = Extras(rule=RULE, bounds=bounds, known_sets=known_sets(), cases=cases, gallery=root / "gallery")
+    for folder, suffix in ((root / "out" / "gallery", "png"), (root / "gallery", "jpg")):
+        folder.mkdir(parents=True)
+        for case in cases:
+            for name in case.inputs:
+                (folder / f"{case.name}-{name}.{suffix}").write_bytes(b"picture")
+    return SimpleNamespace(results=results, params=params, extras=extras, root=root)
+
+
+@pytest.fixture(scope="session")
+def study_report(study, tmp_path_factory):
+    """The tables of the study's report and its folder."""
+    out = tmp_path_factory.mktemp("reports")
+    return write_report(study.results, study.params, study.extras, "study", out), out
+
+
+@pytest.fixture(scope="session")
+def photograph_report(photographs):
+    """The tables of the photographs' report and its folder."""
+    out = photographs.root / "out"
+    return write_report(photographs.results, photographs.params, photographs.extras, "photographs", out), out

@@ -1,0 +1,57 @@
+"""A page as Markdown and as HTML."""
+
+from epiprior_lab.report.page import Page, Picture, Section, Table, render_html, render_markdown
+from epiprior_lab.report.prose import picture, say
+from html_reader import Reader
+
+HEAD, ROWS = ("who", "n"), [["all"], ["**a**", "1"]]
+BESIDE = (Picture(path="a.png", alt="a"), Picture(path="b.png", alt="b", caption="*B*"))
+PAGE = Page(
+    title="A page",
+    about="Of `code` and X_L & <b>.",
+    sections=[
+        Section(title="Numbers", blocks=["Some prose.", Table(head=HEAD, rows=ROWS, fold="Folded")]),
+        Section(title="Nothing here", blocks=["Only prose.", Table(head=HEAD, rows=[])]),
+        Section(title="Side by side", blocks=[BESIDE]),
+    ],
+)  # fmt: skip
+
+
+def test_markdown():
+    assert render_markdown(PAGE) == (
+        "# A page\n\nOf `code` and X_L & <b>.\n\n## Numbers\n\nSome prose.\n\n### Folded\n\n"
+        "| who | n |\n|---|---:|\n| **all** |  |\n| **a** | 1 |\n\n"
+        "## Side by side\n\n![a](a.png)\n\n![b](b.png)\n\n*B*\n"
+    )
+
+
+def test_html_is_whole_and_escaped():
+    text = render_html(PAGE)
+    read = Reader(text)
+    assert read.open == []
+    assert read.ids == ["numbers", "side-by-side"]
+    assert read.links == ["#numbers", "#side-by-side"]
+    assert read.images == ["a.png", "b.png"]
+    assert read.cells == ["who", "n", "all", "a", "1"]
+    assert "Of <code>code</code> and X_L &amp; &lt;b&gt;." in text
+    assert "<strong>a</strong>" in text
+    assert "<em>B</em>" in text
+    assert "<details><summary>Folded</summary>" in text
+    assert "Only prose" not in text
+
+
+def test_long_prose_is_wrapped_and_lists_stay_lists():
+    text = render_markdown(Page(title="t", about="- " + "word " * 60 + "\n- second", sections=[]))
+    lines = text.splitlines()[2:]
+    assert max(map(len, lines)) <= 110
+    assert [line[:2] for line in lines] == ["- ", "  ", "  ", "- "]
+
+
+def test_prose_is_filled_in():
+    assert "thresholds" not in say("duels", champion="epiprior")
+    assert "`epiprior` is ahead" in say("duels", champion="epiprior")
+    assert "\n" not in say("summary")
+    assert say("method", peers="", seeds=5).count("\n- ") == 4
+    drawn = picture("calibration", "c.png", enough=20)
+    assert (drawn.path, drawn.alt) == ("c.png", "Share of right matches over the stated probability")
+    assert "fewer than 20 matches" in drawn.caption

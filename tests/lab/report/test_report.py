@@ -1,0 +1,114 @@
+"""Whole reports: pages, files and their bytes."""
+
+import re
+
+import pandas as pd
+import pytest
+
+from epiprior_lab.evaluation.records import Tables
+from epiprior_lab.report.report import read_classifiers, write_folder_report, write_report
+from epiprior_lab.report.results import ReportError
+from html_reader import Reader
+from synthetic_tables import PHOTOGRAPH_INPUTS, SETS, STUDY_INPUTS
+
+
+@pytest.mark.parametrize("name", ["study_report", "photograph_report"])
+def test_pages_are_whole_and_say_the_same(name, request):
+    made, out = request.getfixturevalue(name)
+    page, text = Reader((out / "index.html").read_text()), (out / "performance.md").read_text()
+    assert page.open == []
+    for link in page.links:
+        assert link[1:] in page.ids if link.startswith("#") else link in ("timings/times.md",), link
+    assert all((out / image).is_file() for image in page.images)
+    cells = re.findall(r"(?<=\| )[^|\n]*(?= \|)", text)
+    plain = [cell.replace("**", "").replace("`", "").strip() for cell in cells if set(cell) - {"-", ":"}]
+    html = [cell.strip() for cell in page.cells if cell.strip()]
+    assert html == [cell for cell in plain if cell]
+    for table in made:
+        assert len(pd.read_csv(out / "tables" / f"{table}.csv")) == len(made[table])
+    assert not re.search(r"\{|\bnan\b", text)
+    assert text.rindex("\n## ") == text.index("\n## Bounds")
+
+
+def test_sections_of_the_study(study_report):
+    titles = re.findall(r"^## (.*)$", (study_report[1] / "performance.md").read_text(), re.MULTILINE)
+    assert titles == [
+        "How well it works", "Successes", "Against every other estimator", "Poses and distances", "Rankings",
+        "Calibration", "Cascade", "Pairs", "How it was measured", "Hand-over", "Classifiers", "Verification",
+        "What limits the results", "Bounds",
+    ]  # fmt: skip
+
+
+def test_every_group_and_estimator_has_its_rows(study_report, photograph_report):
+    for (made, out), inputs in ((study_report, STUDY_INPUTS), (photograph_report, PHOTOGRAPH_INPUTS)):
+        text = (out / "performance.md").read_text()
+        blocks = text[text.index("### Below 10 px") : text.index("## Against")]
+        rows = [line for line in blocks.splitlines() if line.startswith(tuple(f"| {name} |" for name in inputs))]
+        table = made["successes"].drop_duplicates(["threshold_px", "group", "estimator"])
+        assert len(rows) == ((table["threshold_px"] == 10) | ~table["group"].isin(list(SETS))).sum()
+        first = made["successes"].iloc[0]
+        assert f" {first['successes']:.1f} ± {first['successes_sd']:.1f} |" in rows[0]
+
+
+def test_the_small_table_leads(photograph_report):
+    made, out = photograph_report
+    text = (out / "performance.md").read_text()
+    rows = [line.split(" | ") for line in text.splitlines()[: text.count("\n")] if line.startswith("| ")][:7]
+    assert [row[0] for row in rows] == [
+        "| matches", "| X_L", "| snn", "| AdaLAM", "| GMS", "| cascade of X_L and ours", "| ours",
+    ]  # fmt: skip
+    assert rows[0][2:] == [
+        "all pairs (12), 10 px",
+        "hard pairs (6), 10 px",
+        "all pairs (12), 3 px",
+        "hard pairs (6), 3 px |",
+    ]
+    at = made["successes"]
+    at = at[(at["group"] == "all") & (at["threshold_px"] == 10) & (at["input"] == "snn")]
+    best = at.sort_values("successes", ascending=False, kind="stable").iloc[0]
+    assert rows[2][1] == best["estimator"]
+    assert float(rows[2][2].strip("*")) == pytest.approx(100 * best["successes"] / 12, abs=0.05)
+
+
+def test_a_committed_page_shows_no_photograph(photographs, photograph_report):
+    out, cases = photograph_report[1], photographs.extras.cases
+    page = Reader((out / "index.html").read_text())
+    assert sum(image.startswith("gallery/") for image in page.images) == 2 * len(cases) > 0
+    assert all(image.endswith(".png") for image in page.images)
+    assert not list(out.rglob("*.jpg"))
+    kept = photographs.root / "gallery"
+    page = Reader((kept / "index.html").read_text())
+    assert len(page.images) == 2 * len(cases)
+    assert all((kept / image).is_file() for image in page.images)
+
+
+@pytest.mark.slow
+def test_the_same_results_give_the_same_bytes(study, study_report, tmp_path):
+    write_report(study.results, study.params, study.extras, "study", tmp_path)
+    files = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file())
+    assert files
+    for path in files:
+        assert (tmp_path / path).read_bytes() == (study_report[1] / path).read_bytes(), path
+
+
+@pytest.mark.slow
+def test_a_folder_of_ones_own(study, tmp_path):
+    keep = vars(study.results.tables)
+    runs = keep["runs"]
+    runs = runs[(runs["estimator"] == "usac") & (runs["input"] != "paper")]
+    write_folder_report(Tables(**{**keep, "runs": runs}), tmp_path)
+    page = Reader((tmp_path / "index.html").read_text())
+    assert page.open == []
+    assert "how-well-it-works" in page.ids
+    assert "against-every-other-estimator" not in page.ids
+    assert "bounds" not in page.ids
+
+
+def test_cross_validation_of_every_preset(tmp_path):
+    (tmp_path / "paper").mkdir()
+    (tmp_path / "paper" / "metrics.csv").write_text(
+        "target,family,grouped,fold,metric,value\nmatch,tree,True,all,accuracy,0.5\n"
+    )
+    assert read_classifiers(tmp_path, ["paper"])["preset"].tolist() == ["paper"]
+    with pytest.raises(ReportError, match="default"):
+        read_classifiers(tmp_path, ["paper", "default"])

@@ -1,0 +1,70 @@
+"""Tables of time, and their bounds."""
+
+import numpy as np
+import pytest
+
+from epiprior_lab.report.bounds import Bound, judge
+from epiprior_lab.report.timing import overhead_table, seconds_table, write_timings
+from synthetic_tables import timing_table
+
+WANTED = [
+    Bound(pipeline="study", measure="time", estimator="every", group="all", at_most=2.0),
+    Bound(pipeline="study", measure="cascade_time", estimator="every", group="all", at_most=99.0),
+]
+
+
+@pytest.fixture(scope="module")
+def timings(study):
+    return timing_table(study.results.tables)
+
+
+def test_overhead_is_a_ratio_of_means(study, timings):
+    table = overhead_table(timings, study.results, 10.0).set_index(["input", "group", "estimator"])
+    own = timings[(timings["group"] == "open") & (timings["estimator"] == "usac")]
+    means = own.groupby("input")["seconds_total"].mean()
+    row = table.loc[("default", "open", "usac")]
+    assert row["seconds_without"] == pytest.approx(means["standard"])
+    assert row["overhead"] == pytest.approx(means["default"] / means["standard"])
+    a, b = (
+        study.results.errors.of("usac", n, 10.0)[study.results.masks["open"]].mean() for n in ("standard", "default")
+    )
+    assert row["contribution"] == pytest.approx(b / a - 1)
+    assert np.isnan(table.loc[("cascade", "open", "usac"), "contribution"])
+    everyone = timings[timings["input"].isin(["standard", "generalized", "default"])]
+    wide = everyone.assign(ranked=everyone["input"] == "default").pivot_table(
+        index=["group", "pair_id", "estimator", "seed"], columns="ranked", values="seconds_total"
+    )
+    assert table.loc[("default", "all", "all"), "median_overhead"] == pytest.approx((wide[True] / wide[False]).median())
+    cascade = timings[timings["input"] == "cascade"]
+    assert table.loc[("cascade", "all", "all"), "preprocessed"] == pytest.approx(cascade["preprocessed"].mean())
+
+
+def test_time_bounds_are_medians_over_all_runs(study, timings):
+    table = overhead_table(timings, study.results, 10.0)
+    judged = judge(WANTED, overhead=table)
+    found = table[(table["group"] == "all") & (table["estimator"] == "all")].set_index("input")["median_overhead"]
+    assert judged["found"].tolist() == [found["default"], found["cascade"]]
+    assert judged["met"].tolist() == [found["default"] <= 2.0, True]
+    assert judge(WANTED).empty
+
+
+def test_seconds_by_outcome(timings):
+    table = seconds_table(timings, 10.0).set_index(["estimator", "input", "outcome"])
+    own = timings[(timings["estimator"] == "usac") & (timings["input"] == "snn")]
+    right = own[own["error_px"] < 10.0]["seconds_estimator"]
+    row = table.loc[("usac", "snn", "success")]
+    assert row["runs"] == len(right)
+    assert row[["mean", "median", "longest"]].tolist() == pytest.approx([right.mean(), right.median(), right.max()])
+    assert table["runs"].sum() == (timings["input"] != "cascade").sum()
+    assert not table.index.get_level_values("input").isin(["cascade"]).any()
+
+
+@pytest.mark.slow
+def test_files(study, timings, tmp_path):
+    write_timings(timings, study.results, tmp_path, 10.0, WANTED)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "bounds.csv", "estimators.csv", "estimators.png", "overhead.csv", "overhead.png", "times.md",
+    }  # fmt: skip
+    text = (tmp_path / "times.md").read_text()
+    assert "median time with preprocessing at most 2 times that without" in text
+    assert "4 pairs, 4 estimators" in text
