@@ -81,14 +81,20 @@ class Features:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "image_size", _size_of(self.image_size))
-        n = None
-        for name, *shape in (("xy", 2), ("scale",), ("orientation_deg",), ("descriptors", None)):
+        n: int | None = None
+        widths: dict[str, tuple[int | None, ...]] = {
+            "xy": (2,),
+            "scale": (),
+            "orientation_deg": (),
+            "descriptors": (None,),
+        }
+        for name, width in widths.items():
             dtype = np.float32 if name == "descriptors" else np.float64
             try:
                 value = np.ascontiguousarray(getattr(self, name), dtype=dtype)
             except (TypeError, ValueError) as error:
                 raise FeatureError(f"features: {name} is not an array of numbers: {error}") from error
-            _require(f"features: {name}", value, (n, *shape))
+            _require(f"features: {name}", value, (n, *width))
             object.__setattr__(self, name, value)
             n = len(value)
         if n and float(self.scale.min()) <= 0:

@@ -10,12 +10,12 @@ import pytest
 import epiprior
 import epiprior.matching.pair
 from epiprior.errors import FeatureError, SettingsError
-from epiprior.estimators import run
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.matching.baselines import _candidates, generalized_matches, snn_matches, standard_matches
 from epiprior.types import Status
 from pictures import relief_pair, texture
+from synthetic import run
 
 
 @pytest.mark.parametrize("make", [standard_matches, snn_matches, generalized_matches])

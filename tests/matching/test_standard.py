@@ -92,7 +92,7 @@ def naive_table(d1, d2, of1, of2, limit):
 @pytest.mark.parametrize("seed", range(3))
 def test_standard_table_equals_naive(seed):
     rng = np.random.default_rng(seed)
-    d1, d2 = unit(rng, 60), unit(rng, 50)
+    d1, d2 = unit(rng, 60, 6), unit(rng, 50, 6)
     of1, of2 = np.sort(rng.integers(0, 40, 60)), np.sort(rng.integers(0, 35, 50))
     of1, of2 = (np.unique(of, return_inverse=True)[1] for of in (of1, of2))
     table = standard_table(*nearest_neighbours(d1, d2), (of1, of2), 0.8)

@@ -157,8 +157,8 @@ def generalized_matches(
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
     rows, to, similarity = _candidates(*prepared.descriptors, ncc_threshold, max_candidates)
     found = _unranked(prepared, rows, to, similarity)
-    rivals = [np.bincount(f, minlength=1)[f] for f in (found.feature1, found.feature2)]
-    probability = right_share / np.maximum(*rivals)
+    rivals1, rivals2 = (np.bincount(f, minlength=1)[f] for f in (found.feature1, found.feature2))
+    probability = right_share / np.maximum(rivals1, rivals2)
     order = np.lexsort((to, rows, -similarity, -probability))
     return replace(found, probability=probability).take(order)
 

@@ -78,12 +78,12 @@ def match_two_keypoints(
     main, other : ndarray, shape (T,), int64
         Rows of X. A pair and its swap are two of them; their descriptors differ.
     """
-    around = (neighbours1.start, neighbours1.neighbour, neighbours1.rule)
-    around += (neighbours2.start, neighbours2.neighbour, neighbours2.rule)
+    around1 = (neighbours1.start, neighbours1.neighbour, neighbours1.rule)
+    around2 = (neighbours2.start, neighbours2.neighbour, neighbours2.rule)
     main = other = np.empty(0, np.int64)
-    total = _match_pairs(X.feature1, X.feature2, X.start1, *around, main, other)
+    total = _match_pairs(X.feature1, X.feature2, X.start1, *around1, *around2, main, other)
     main, other = np.empty(total, np.int64), np.empty(total, np.int64)
-    _match_pairs(X.feature1, X.feature2, X.start1, *around, main, other)
+    _match_pairs(X.feature1, X.feature2, X.start1, *around1, *around2, main, other)
     return main, other
 
 
