@@ -228,9 +228,9 @@ def test_match_writes_all_sets(library, tmp_path, suffix):
     assert str(len(PAIR.matches)) in result.stdout
 
 
-def test_match_without_any(library, tmp_path):
+def test_match_without_any(library, images, tmp_path):
     library[1]["sets"] = (PAIR.matches.take(slice(0, 0)),)
-    result = run("match", "a", "b", "--out", tmp_path / "m.csv")
+    result = run("match", *images, "--out", tmp_path / "m.csv")
     assert result.exit_code == 1
     assert one_line(result).startswith("epiprior: no matches")
 
@@ -283,7 +283,7 @@ def test_colmap(library, images, tmp_path):
 def test_colmap_without_geometry(library, images, tmp_path):
     pytest.importorskip("pycolmap")
     library[1]["estimate"] = estimate_of(Status.DEGENERATE, "a plane")
-    result = run("colmap", *images, "--database", tmp_path / "out.db")
+    result = run("--quiet", "colmap", *images, "--database", tmp_path / "out.db")
     assert result.exit_code == 1
     assert "degenerate" in one_line(result)
     assert run("colmap", images[0], "--database", tmp_path / "one.db").exit_code == 2
