@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.estimators.evidence import Evidence, match_weights, prior_probability
-from epiprior.estimators.proposals import fit_samples, oriented_pairs, plane_and_parallax, progressive_rows
+from epiprior.estimators.proposals import oriented_pairs, plane_and_parallax, progressive_rows
 from epiprior.estimators.protocol import EstimatorSettings, RawModel, package_version
 from epiprior.geometry import MIN_MATCHES, as_columns, sampson_distance
 from epiprior.kernels.compilation import announce_compilation
 from epiprior.kernels.local_steps import climb, refine_models
 from epiprior.kernels.samples import generator_state
+from epiprior.kernels.solvers import fit_samples
 from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
 from epiprior.verification.measures import camera_plausibility, spread_groups
 

@@ -9,7 +9,7 @@ import numpy as np
 from epiprior.kernels.compilation import compiled
 
 _SINGULAR = 1e-10
-_POWER_STEPS = 8
+_LEAST_STEPS, _MOST_STEPS, _CONVERGED = 8, 60, 1e-12
 
 
 @compiled
@@ -175,9 +175,10 @@ def smallest_vector(A, v):  # type: ignore[no-untyped-def]  # noqa: PLR0912
                 L[i, i] = np.sqrt(max(s, 1e-15 * trace))
             else:
                 L[i, j] = s / L[j, j]
-    for _ in range(_POWER_STEPS):
+    before = np.empty(n)
+    for step in range(_MOST_STEPS):
         for i in range(n):
-            s = v[i]
+            before[i] = s = v[i]
             for k in range(i):
                 s -= L[i, k] * v[k]
             v[i] = s / L[i, i]
@@ -190,8 +191,12 @@ def smallest_vector(A, v):  # type: ignore[no-untyped-def]  # noqa: PLR0912
         for i in range(n):
             norm += v[i] * v[i]
         norm = np.sqrt(norm)
+        change = 0.0
         for i in range(n):
             v[i] /= norm
+            change = max(change, abs(v[i] - before[i]))
+        if step >= _LEAST_STEPS - 1 and change < _CONVERGED:
+            return
 
 
 @compiled
