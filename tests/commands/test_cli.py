@@ -19,6 +19,7 @@ import epiprior
 from epiprior import FundamentalEstimate, ImageError, ModelError, RankedMatches, Status
 from epiprior.cli import app
 from epiprior.io import read_matches
+from epiprior.presets import find_preset
 from pictures import relief_pair, save, texture
 from synthetic import make_matches, make_pair
 from tiny_model import make_model
@@ -92,7 +93,7 @@ def library(monkeypatch):
         calls["rank"] = options | {"images": (image1, image2)}
         return RankedMatches(sets=state["sets"], standard=PAIR.matches, seconds={}, preset="default")
 
-    def standard_matches(image1, image2):
+    def standard_matches(image1, image2, **options):
         calls["standard"] = True
         return PAIR.matches
 
@@ -126,7 +127,7 @@ def test_estimate_as_json(library):
         "images": (Path("a.jpg"), Path("b.jpg")),
         "estimator": "prosac",
         "mode": "preprocess",
-        "preset": "default",
+        "settings": find_preset("default"),
         "seed": 5,
         "threshold_px": 2.5,
     }
@@ -222,14 +223,14 @@ def test_match_writes_all_sets(library, tmp_path, suffix):
     out = tmp_path / f"matches.{suffix}"
     result = run("match", "a", "b", "--out", out, "--preset", "paper")
     assert result.exit_code == 0
-    assert calls["rank"]["preset"] == "paper"
+    assert calls["rank"]["settings"] == find_preset("paper")
     assert [s.roll_deg for s in read_matches(out)] == [0.0, 90.0]
     assert str(len(PAIR.matches)) in result.stdout
 
 
-def test_match_without_any(library, tmp_path):
+def test_match_without_any(library, images, tmp_path):
     library[1]["sets"] = (PAIR.matches.take(slice(0, 0)),)
-    result = run("match", "a", "b", "--out", tmp_path / "m.csv")
+    result = run("match", *images, "--out", tmp_path / "m.csv")
     assert result.exit_code == 1
     assert one_line(result).startswith("epiprior: no matches")
 
@@ -282,7 +283,7 @@ def test_colmap(library, images, tmp_path):
 def test_colmap_without_geometry(library, images, tmp_path):
     pytest.importorskip("pycolmap")
     library[1]["estimate"] = estimate_of(Status.DEGENERATE, "a plane")
-    result = run("colmap", *images, "--database", tmp_path / "out.db")
+    result = run("--quiet", "colmap", *images, "--database", tmp_path / "out.db")
     assert result.exit_code == 1
     assert "degenerate" in one_line(result)
     assert run("colmap", images[0], "--database", tmp_path / "one.db").exit_code == 2

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+import epiprior
 from epiprior import ImageError, estimate_fundamental
 from epiprior.draw.pictures import draw_matches
 from epiprior.features.detect import detect_features
@@ -128,3 +131,9 @@ def test_files_that_macos_leaves_are_known():
     assert is_hidden_copy("._x.jpg")
     assert not is_hidden_copy(".x.jpg")
     assert not is_hidden_copy("_x.jpg")
+
+
+def test_the_library_reads_and_writes_images_in_one_way_only():
+    """OpenCV's own readers of files end with a crash where a name is not UTF-8."""
+    folder = Path(epiprior.__file__).parent
+    assert not [path for path in folder.rglob("*.py") if re.search(r"cv2\.im(read|write)\(", path.read_text("utf-8"))]

@@ -260,9 +260,9 @@ def _visible_in_file(name: str, data: NDArray[np.uint8], grey: NDArray[np.uint8]
     upright = _decode(name, data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     visible = np.asarray(stored[..., 3] > 0)
     for turns in range(8):
-        turned, mask = (np.rot90(x if turns < 4 else x[:, ::-1], turns) for x in (upright, visible))
-        if np.array_equal(turned, grey):
-            return mask
+        flip = slice(None, None, 1 if turns < 4 else -1)
+        if np.array_equal(np.rot90(upright[:, flip], turns), grey):
+            return np.rot90(visible[:, flip], turns)
     return None
 
 

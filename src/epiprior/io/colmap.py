@@ -151,10 +151,8 @@ def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = 
         except UnicodeEncodeError as error:
             raise ImageError(f"{path}: its name is not UTF-8, a COLMAP database cannot hold it: rename it") from error
         # An eighth of the size suffices: what is turned has other sides or other pixels.
-        upright = [
-            read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8 | turn) for turn in (0, cv2.IMREAD_IGNORE_ORIENTATION)
-        ]
-        if not np.array_equal(*upright):
+        turned = read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8)
+        if not np.array_equal(turned, read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)):
             raise ImageError(f"{path}: is turned by its EXIF orientation, which COLMAP ignores; save it upright first")
     return names
 
