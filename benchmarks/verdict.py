@@ -31,7 +31,7 @@ from epiprior.verification.chance import chance_rate
 from epiprior.verification.degeneracy import LEVELS, DecidedLevels, PlaneEvidence, plane_evidence
 from epiprior.verification.judge import judge
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.features.matching import PairMatches, match_pair
+from epiprior_lab.evaluation.inputs import PairMatches, match_pair
 from epiprior_lab.labels.ground_truth import control_points_from_depth, errors_px
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.scenes import render_pair

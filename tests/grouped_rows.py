@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
+
+from epiprior_lab.training.samples import Sample, TargetRows
 
 COLUMNS = ("count", "ratio", "angle", "level", "noise")
 
 
-@dataclass(frozen=True)
-class Rows:
-    """X float32 (N, 5), y bool (N,), scene and pair (N,) of str; two pairs per scene."""
-
-    X: np.ndarray
-    y: np.ndarray
-    scene: np.ndarray
-    pair: np.ndarray
-
-
 @functools.cache
-def make_rows(size: int = 2400, scenes: int = 12, seed: int = 0) -> Rows:
+def make_rows(size: int = 2400, scenes: int = 12, seed: int = 0, target: str = "match") -> TargetRows:
+    """Return rows (N, 5) of two pairs per scene, ``scene-00-0``, ``scene-00-1``, ``scene-01-0``, ..."""
     rng = np.random.default_rng(seed)
     code = rng.integers(0, scenes, size)
     level = rng.normal(scale=1.5, size=scenes)
@@ -36,6 +28,10 @@ def make_rows(size: int = 2400, scenes: int = 12, seed: int = 0) -> Rows:
     ).astype(np.float32)
     logit = 2 * X[:, 1] + np.sin(3 * X[:, 2]) - 0.4 * X[:, 0] + level[code] - 0.5
     y = logit + rng.logistic(size=size) > 0
-    scene = np.array([f"scene-{number:02d}" for number in code])
-    pair = np.array([f"{name}-{side}" for name, side in zip(scene, rng.integers(0, 2, size), strict=True)])
-    return Rows(X, y, scene, pair)
+    pair = 2 * code + rng.integers(0, 2, size)
+    samples = [
+        Sample(scene=f"scene-{k // 2:02d}", pair=f"scene-{k // 2:02d}-{k % 2}", rows=X[pair == k], labels=y[pair == k],
+               size=np.count_nonzero(pair == k))
+        for k in range(2 * scenes)
+    ]  # fmt: skip
+    return TargetRows.stack(target, COLUMNS, samples)

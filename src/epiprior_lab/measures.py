@@ -78,6 +78,13 @@ class CalibrationBins:
     squared_error: FloatArray
 
     @property
+    def curve(self) -> FloatArray:
+        """Reliability curve, shape (K, 3): mean probability, share of right matches, and count of the filled bins."""
+        kept = self.count > 0
+        count = self.count[kept]
+        return np.column_stack([self.probability[kept] / count, self.right[kept] / count, count])
+
+    @property
     def brier_score(self) -> float:
         """Mean squared error of the probabilities; NaN without matches."""
         return float(self.squared_error.sum() / self.count.sum()) if self.count.sum() else float("nan")

@@ -1,7 +1,7 @@
-"""MLflow: what the training measured, for people to look at. The only module that imports mlflow.
+"""MLflow: measures of training for people to look at. The only module that imports mlflow.
 
 The database ``mlflow.db`` and the artifacts ``mlartifacts/`` lie at the root of the repository. They are
-write-only: no stage reads them, and where tracking fails the stage says so and goes on.
+write-only: no stage reads them, and where tracking fails the stage logs a warning and goes on.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import os
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +22,10 @@ from matplotlib.figure import Figure
 
 from epiprior.errors import EpipriorError
 from epiprior.ranking.models import TARGETS
-from epiprior.types import BoolArray, Float32Array, FloatArray
-from epiprior_lab.training.calibration import reliability
-from epiprior_lab.training.cross_validation import CrossValidation
-from epiprior_lab.training.metrics import precision_recall
+from epiprior.types import Float32Array
 
 ALIAS = "champion"
 _LOG = logging.getLogger(__name__)
-_EXAMPLE_ROWS = 5
-_CURVE_POINTS = 500
 # Without it MLflow's page takes the runs for those of a language model, and opens on empty charts of traces.
 _SHOWN_AS_TRAINING = ("mlflow.experimentKind", "custom_model_development")
 
@@ -40,41 +35,36 @@ class TrackingError(EpipriorError, RuntimeError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackedFamily:
-    """All that is logged of one family of classifiers for one target and preset.
+class Run:
+    """One run of MLflow, with a nested run per fold.
 
     Parameters
     ----------
-    target, preset : str
-        Which classifier of which model.
-    exported : bool
-        Whether this family is the one that the preset ships.
-    grouped : CrossValidation
-        By scene.
-    ungrouped : CrossValidation or None
-        By row; of an exported family only.
-    labels : ndarray, shape (N,), bool
-        Labels of their rows.
-    importances : ndarray, shape (C,), float64, or None
-        Of the final refit.
-    onnx : bytes
-        The final refit.
-    example : ndarray, shape (M, C), float32
-        Rows to show what it takes.
-    parameters : mapping
-        Seed, folds, caps, hash of the training data: whatever describes the run.
+    experiment, name : str
+        Names of the experiment, below ``epiprior/``, and of the run.
+    tags, parameters : mapping
+        What describes the run. The tags ``preset`` and ``exported`` are what `promote` looks for.
+    metrics : mapping of str to float
+        Values that are not finite are left out.
+    folds : sequence of mapping
+        Metrics of each fold.
+    figures : mapping of str to Figure
+        By file name.
+    onnx : bytes or None
+        A model to log,
+    rows : ndarray, shape (M, C), float32, or None
+        and a few rows to show what it takes.
     """
 
-    target: str
-    preset: str
-    exported: bool
-    grouped: CrossValidation
-    ungrouped: CrossValidation | None
-    labels: BoolArray
-    importances: FloatArray | None
-    onnx: bytes
-    example: Float32Array
-    parameters: Mapping[str, Any]
+    experiment: str
+    name: str
+    tags: Mapping[str, str]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    folds: Sequence[Mapping[str, float]] = ()
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    onnx: bytes | None = None
+    rows: Float32Array | None = None
 
 
 def repository_root() -> Path:
@@ -85,8 +75,7 @@ def repository_root() -> Path:
     TrackingError
         If there is none.
     """
-    named = os.environ.get("DVC_ROOT")
-    if named:
+    if named := os.environ.get("DVC_ROOT"):
         return Path(named)
     here = Path.cwd()
     for folder in (here, *here.parents):
@@ -95,15 +84,8 @@ def repository_root() -> Path:
     raise TrackingError(f"no dvc.yaml in {here} or above it, and DVC_ROOT is not set")
 
 
-def track(families: Sequence[TrackedFamily], *, root: Path | None = None) -> bool:
-    """Log one parent run per family, with a nested run per fold.
-
-    Parameters
-    ----------
-    families : sequence of TrackedFamily
-        May be empty.
-    root : Path, optional
-        Where the database lies; by default `repository_root`.
+def track(runs: Sequence[Run], *, root: Path | None = None) -> bool:
+    """Log runs in the database at `root`, by default `repository_root`.
 
     Returns
     -------
@@ -111,9 +93,10 @@ def track(families: Sequence[TrackedFamily], *, root: Path | None = None) -> boo
         False if something failed. That was logged as a warning; nothing is raised.
     """
     try:
-        with _mlflow(root or repository_root()) as client:
-            for family in families:
-                _log_family(client, root or repository_root(), family)
+        root = root or repository_root()
+        with _mlflow(root) as client:
+            for run in runs:
+                _log(client, root, run)
     except Exception as error:  # noqa: BLE001 - whatever fails in tracking must not fail the study
         _LOG.warning("MLflow: not everything was tracked: %s: %s", type(error).__name__, error)
         return False
@@ -122,13 +105,6 @@ def track(families: Sequence[TrackedFamily], *, root: Path | None = None) -> boo
 
 def promote(preset: str, *, root: Path | None = None) -> dict[str, str]:
     """Register the newest exported classifiers of a preset and give them the alias ``champion``.
-
-    Parameters
-    ----------
-    preset : str
-        Name of the preset.
-    root : Path, optional
-        Where the database lies; by default `repository_root`.
 
     Returns
     -------
@@ -163,7 +139,7 @@ def _register(client: Any, name: str, run: Any) -> tuple[str, str]:
 
 
 def _newest_exported(client: Any, target: str, preset: str) -> Any:
-    experiment = client.get_experiment_by_name(_experiment_name(target))
+    experiment = client.get_experiment_by_name(f"epiprior/{target}")
     runs = client.search_runs(
         [experiment.experiment_id] if experiment else ["none"],
         f"tags.preset = '{preset}' and tags.exported = 'true' and attributes.status = 'FINISHED'",
@@ -175,19 +151,10 @@ def _newest_exported(client: Any, target: str, preset: str) -> Any:
     return runs[0]
 
 
-# Without it MLflow's page takes the runs for those of a language model, and opens on empty charts of traces.
-_SHOWN_AS_TRAINING = ("mlflow.experimentKind", "custom_model_development")
-
-
-def _experiment_name(target: str) -> str:
-    return f"epiprior/{target}"
-
-
 @contextlib.contextmanager
 def _mlflow(root: Path) -> Iterator[Any]:
     """Yield a client of the database at `root`; MLflow's global state is put back afterwards."""
-    # Read on import: nothing is reported to anyone.
-    os.environ["MLFLOW_DISABLE_TELEMETRY"] = "true"
+    os.environ["MLFLOW_DISABLE_TELEMETRY"] = "true"  # read on import: nothing is reported to anyone
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # deprecations between MLflow and its own dependencies
         import mlflow
@@ -204,41 +171,25 @@ def _mlflow(root: Path) -> Iterator[Any]:
             state.set_tracking_uri(before)
 
 
-def _log_family(client: Any, root: Path, family: TrackedFamily) -> None:
-    """Log the parent run: parameters, metrics, figures, model; and its folds."""
-    name = _experiment_name(family.target)
+def _log(client: Any, root: Path, run: Run) -> None:
+    """Log a run: parameters, metrics, folds, figures, model."""
+    name = f"epiprior/{run.experiment}"
     found = client.get_experiment_by_name(name)
-    location = (root / "mlartifacts" / family.target).resolve().as_uri()
+    location = (root / "mlartifacts" / run.experiment).resolve().as_uri()
     experiment = found.experiment_id if found else client.create_experiment(name, artifact_location=location)
     client.set_experiment_tag(experiment, *_SHOWN_AS_TRAINING)
-    tags = {
-        "preset": family.preset,
-        "target": family.target,
-        "family": family.grouped.family,
-        "exported": str(family.exported).lower(),
-    }
-    run_name = f"{family.preset}-{family.grouped.family}"
-    run = client.create_run(experiment, run_name=run_name, tags=tags).info.run_id
-    deviations = {f"{key}.deviation": value for key, value in family.grouped.deviations().items()}
-    leaky = {} if family.ungrouped is None else family.ungrouped.metrics
-    others = {f"ungrouped.{key}": value for key, value in leaky.items()}
-    others |= {f"calibrated.{key}": value for key, value in family.grouped.calibrated_metrics.items()}
-    seconds = family.grouped.seconds_per_10000_rows
-    timing = {"seconds_per_10000_rows": sum(seconds) / len(seconds)}
-    parameters = {**tags, **family.parameters, "columns": ", ".join(family.grouped.columns)}
-    _log_batch(client, run, {**family.grouped.metrics, **deviations, **others, **timing}, parameters)
-    for number, metrics in enumerate(family.grouped.fold_metrics):
-        fold = client.create_run(
-            experiment,
-            run_name=f"{family.preset}-{family.grouped.family}-fold-{number}",
-            tags={"mlflow.parentRunId": run, "fold": str(number)},
-        ).info.run_id
-        _log_batch(client, fold, {**metrics, "seconds_per_10000_rows": seconds[number]}, {})
+    parent = client.create_run(experiment, run_name=run.name, tags=dict(run.tags)).info.run_id
+    _log_batch(client, parent, run.metrics, {**run.tags, **run.parameters})
+    for number, metrics in enumerate(run.folds):
+        tags = {"mlflow.parentRunId": parent, "fold": str(number)}
+        fold = client.create_run(experiment, run_name=f"{run.name}-fold-{number}", tags=tags).info.run_id
+        _log_batch(client, fold, metrics, {})
         client.set_terminated(fold)
-    for file, figure in _figures(family).items():
-        client.log_figure(run, figure, file)
-    _log_model(run, family)
-    client.set_terminated(run)
+    for file, figure in run.figures.items():
+        client.log_figure(parent, figure, file)
+    if run.onnx is not None and run.rows is not None:
+        _log_model(parent, run.onnx, run.rows)
+    client.set_terminated(parent)
 
 
 def _log_batch(client: Any, run: str, metrics: Mapping[str, float], parameters: Mapping[str, Any]) -> None:
@@ -252,62 +203,18 @@ def _log_batch(client: Any, run: str, metrics: Mapping[str, float], parameters: 
     )
 
 
-def _log_model(run: str, family: TrackedFamily) -> None:
-    """Log the final refit as an ONNX model with signature and example."""
+def _log_model(run: str, graph: bytes, rows: Float32Array) -> None:
+    """Log an ONNX model with its signature and an example."""
     import mlflow
     import onnx
 
-    example = {"rows": family.example[:_EXAMPLE_ROWS]}
-    output = {"probability": family.grouped.probability[:_EXAMPLE_ROWS].astype("float32")}
     needed = ("onnx", "onnxruntime", "numpy")
-    requirements = [f"{name}=={importlib.metadata.version(name)}" for name in needed]
     with mlflow.start_run(run_id=run, log_system_metrics=False):
         mlflow.onnx.log_model(
-            onnx.load_from_string(family.onnx),
+            onnx.load_from_string(graph),
             name="model",
-            signature=mlflow.models.infer_signature(example, output),
-            input_example=example,
+            signature=mlflow.models.infer_signature({"rows": rows}, {"probability": rows[:, 0]}),  # of the same type
+            input_example={"rows": rows},
             onnx_execution_providers=["CPUExecutionProvider"],
-            pip_requirements=requirements,
+            pip_requirements=[f"{name}=={importlib.metadata.version(name)}" for name in needed],
         )
-
-
-def _figures(family: TrackedFamily) -> dict[str, Figure]:
-    """Return the curves and importances, by file name."""
-    figures = {
-        "precision_recall.png": _precision_recall_figure(family),
-        "reliability.png": _reliability_figure(family),
-    }
-    if family.importances is not None:
-        figures["importances.png"] = _importances_figure(family.grouped.columns, family.importances)
-    return figures
-
-
-def _precision_recall_figure(family: TrackedFamily) -> Figure:
-    figure = Figure(figsize=(5, 4), layout="constrained")
-    axes = figure.add_subplot(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1))
-    for label, item in (("grouped by scene", family.grouped), ("ungrouped", family.ungrouped)):
-        if item is None:
-            continue
-        precision, recall, _ = precision_recall(item.probability, family.labels)
-        step = max(1, len(precision) // _CURVE_POINTS)
-        axes.plot(recall[::step], precision[::step], label=label)
-    axes.legend()
-    return figure
-
-
-def _reliability_figure(family: TrackedFamily) -> Figure:
-    figure = Figure(figsize=(5, 4), layout="constrained")
-    axes = figure.add_subplot(xlabel="predicted probability", ylabel="share of right ones")
-    curve = reliability(family.grouped.probability, family.labels)
-    axes.plot([0, 1], [0, 1], color="0.7", linewidth=1)
-    axes.plot(curve.predicted, curve.observed, marker="o")
-    return figure
-
-
-def _importances_figure(columns: tuple[str, ...], importances: FloatArray) -> Figure:
-    figure = Figure(figsize=(6, 0.3 * len(columns) + 1), layout="constrained")
-    axes = figure.add_subplot(xlabel="importance")
-    order = importances.argsort()
-    axes.barh([columns[i] for i in order], importances[order])
-    return figure

@@ -48,11 +48,11 @@ class Rates:
     @property
     def estimators(self) -> list[str]:
         """Estimators in the order of the runs."""
-        return list(dict.fromkeys(estimator for estimator, _ in self._parts))
+        return list(dict.fromkeys(str(estimator) for estimator, _ in self._parts))
 
     def inputs(self, estimator: str) -> list[str]:
         """Return the inputs of one estimator, in the order of the runs."""
-        return [name for owner, name in self._parts if owner == estimator]
+        return [str(name) for owner, name in self._parts if owner == estimator]
 
     def values(self, estimator: str, name: str) -> FloatArray:
         """Return the measure, shape (pairs, seeds); infinite without an F or where the truth does not allow it."""
@@ -77,18 +77,9 @@ def compare(
     seed: int,
     by: BoolArray | None = None,
 ) -> Comparison:
-    """Compare two measures of the same pairs: `a` is ``without``, `b` is ``with_step``.
+    """Compare two measures of the same pairs, as from `Rates.of`: `a` is ``without``, `b` is ``with_step``.
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (N,)
-        One finite value per pair, as from `Rates.of`.
-    scenes : sequence of str, length N
-        Whole scenes are drawn by the bootstrap.
-    draws, seed
-        Of the bootstrap.
-    by : ndarray, shape (N,), bool, optional
-        Which pairs are compared, as from `group_masks`; all by default.
+    The bootstrap draws whole `scenes`, one name per pair. `by` tells which pairs are compared, as from `group_masks`.
     """
     member = np.ones(len(a), np.bool_) if by is None else by
     own = [scene for scene, is_in in zip(scenes, member, strict=True) if is_in]
@@ -98,12 +89,7 @@ def compare(
 def group_masks(pairs: pd.DataFrame, *, apart: Sequence[str] = ()) -> dict[str, BoolArray]:
     """Return which pairs belong to each part: difficulties that occur, `ALL`, then every group.
 
-    Parameters
-    ----------
-    pairs : DataFrame
-        Of `Tables`.
-    apart : sequence of str
-        Groups that are part of no total and no difficulty.
+    Groups in `apart` are part of no total and no difficulty.
     """
     own, difficulty = pairs["group"].to_numpy(str), pairs["difficulty"].to_numpy(str)
     counted = np.asarray(~np.isin(own, list(apart)))

@@ -14,18 +14,15 @@ _DRAWS_PER_POINT = 8  # lines that miss the other image are drawn anew, but not 
 def symmetric_distance(
     F: FloatArray, true_F: FloatArray, sizes: tuple[Size, Size], *, points: int = 1000, seed: int = 0
 ) -> float:
-    """Return the normalised symmetric geometric distance of two fundamental matrices.
+    """Return the normalised symmetric geometric distance of two fundamental matrices, in either order.
 
     Parameters
     ----------
     F, true_F : ndarray, shape (3, 3)
-        The two matrices, in either order.
     sizes : tuple of tuple of int
         (width, height) of both images, pixels.
-    points : int
-        Random points per direction, >= 1.
-    seed : int
-        Of the random draw.
+    points, seed : int
+        Random points per direction, and the seed of the draw.
 
     Returns
     -------
@@ -35,8 +32,7 @@ def symmetric_distance(
     Notes
     -----
     A random point of image 1 and a random point on its line under one matrix, where the line crosses image 2, are
-    held against the other matrix: the distances of both points to their epipolar lines count. Then the matrices
-    change places.
+    measured by their distances to the epipolar lines of the other matrix. Then the matrices change places.
 
     References
     ----------
@@ -69,7 +65,7 @@ def _one_way(
 
 
 def points_on_lines(lines: FloatArray, size: Size, share: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return a point of each line inside the image, and which lines cross it.
+    """Return a point of each line inside the image, NaN where there is none, and which lines cross it.
 
     Parameters
     ----------
@@ -79,13 +75,6 @@ def points_on_lines(lines: FloatArray, size: Size, share: FloatArray) -> tuple[F
         (width, height), pixels; the image spans the centres of its pixels.
     share : ndarray, shape (N,)
         Where between the two ends of the part inside the image, in [0, 1].
-
-    Returns
-    -------
-    x : ndarray, shape (N, 2)
-        NaN where a line does not cross.
-    met : ndarray, shape (N,), bool
-        Which lines do.
     """
     normal, length = lines[:, :2], np.linalg.norm(lines[:, :2], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -107,7 +96,6 @@ def pose_errors(F: FloatArray, cameras: tuple[Camera, Camera], x1: FloatArray, x
     Parameters
     ----------
     F : ndarray, shape (3, 3)
-        The estimate.
     cameras : tuple of Camera
         The truth.
     x1, x2 : ndarray, shape (N, 2), float64

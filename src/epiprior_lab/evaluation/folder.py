@@ -45,16 +45,10 @@ def evaluate_folder(
         A pair set in the uniform format, or a folder of them.
     sets : sequence of str, optional
         Names of the sets; all by default.
-    estimators : sequence of str
-        Names in the registry.
     seeds : int
         Repetitions of each estimate, >= 1.
-    out : Path
-        Where results go.
-    store : Path, optional
-        Where results per pair are kept, so that a run that was killed continues.
-    console : Console, optional
-        Where tables are printed.
+    out, store : Path
+        Where results go, and where those per pair are kept, so that a run that was killed continues.
 
     Raises
     ------

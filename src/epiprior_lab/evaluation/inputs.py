@@ -71,12 +71,7 @@ class PairMatches:
 
 
 def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | None = None) -> PairMatches:
-    """Match one pair in every asked way, in that order, out of `INPUTS`.
-
-    Parameters
-    ----------
-    pair : Pair
-        Its two images are read, unless `detected` holds their features.
+    """Match one pair in every asked way, in that order; its images are read unless `detected` holds their features.
 
     Raises
     ------
@@ -130,8 +125,6 @@ def store_matches(
 
     Parameters
     ----------
-    pairs : sequence of Pair
-        Of different ids.
     inputs : sequence of str
         Names out of `INPUTS`, at least one, and of peers.
     folder : Path
@@ -140,8 +133,6 @@ def store_matches(
         Folder of the peers' matches.
     files : sequence of Path
         What decides the matches beside the pairs' own images: the model files.
-    workers, description
-        As for `epiprior_lab.compute.tasks.map_tasks`.
 
     Raises
     ------

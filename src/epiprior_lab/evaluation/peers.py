@@ -31,16 +31,9 @@ class PeerError(EpipriorError):
 
 
 def match_by_peers(*, pairs: Sequence[Pair], peers: Sequence[str], python: Path, script: Path) -> list[list[Columns]]:
-    """Match some pairs by every peer; for each pair and peer return the arrays of `inputs.read_peer_matches`.
+    """Match some pairs by every peer that the script knows, in the interpreter `python` of their environment.
 
-    Parameters
-    ----------
-    pairs : sequence of Pair
-        Their images are read.
-    peers : sequence of str
-        Names that the script knows.
-    python, script : Path
-        Interpreter of the environment, and what it runs.
+    Return, for each pair and peer, the arrays of `inputs.read_peer_matches`.
 
     Raises
     ------
@@ -102,16 +95,8 @@ def write_peer_matches(
 ) -> None:
     """Write the matches of every peer and pair as ``out/PEER/PAIR_ID.npz``; a killed run continues.
 
-    Parameters
-    ----------
-    peers : sequence of str
-        None writes an empty folder.
-    environment, script : Path
-        Where the peers are installed, and what runs there.
-    files : sequence of Path
-        What else decides the matches.
-    workers, store
-        As for `epiprior_lab.compute.tasks.map_tasks`.
+    Without peers the folder stays empty. `script` runs in `environment`, where they are installed; `files` are what
+    else decides the matches.
 
     Raises
     ------

@@ -29,16 +29,8 @@ _TOP = 100
 def ranking_orders(matches: MatchSet) -> dict[str, IntArray]:
     """Return the indices of the matches that take part in each ranking, best first.
 
-    Parameters
-    ----------
-    matches : MatchSet
-        A ranked set: X, X_L and X_B together, sorted by probability.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n,), int64
-        For each of `records.RANKINGS`. Ties are broken by the features' indices, so that no ranking profits from
-        another.
+    `matches` are X, X_L and X_B together, sorted by probability. Ties are broken by the features' indices, so that no
+    ranking profits from another.
     """
 
     def order(score: np.ndarray[Any, Any], member: BoolArray) -> IntArray:
@@ -73,16 +65,7 @@ def roll_differences(matches: MatchSet) -> FloatArray:
 def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSettings) -> list[Record]:
     """Return the records of a pair, its rankings and their calibration; the last two only for a labelled pair.
 
-    Parameters
-    ----------
-    pair : Pair
-        With ground truth.
-    matches : MatchFiles
-        All inputs; without ``standard`` the difficulty stays unknown.
-    group : str
-        Leads every record.
-    truth : TruthSettings
-        When a match is right, and what makes a pair hard.
+    `matches` are those of all inputs; without ``standard`` the difficulty stays unknown.
     """
     sets, known = matches.read().sets, pair_truth(pair, truth)
     key = {"group": group, "pair_id": pair.pair_id, "scene": pair.scene}

@@ -69,20 +69,10 @@ class PairRecord(Record):
 class RunRecord(Record):
     """One estimator on one input of a pair, under one seed.
 
-    Parameters
-    ----------
-    status, support, matches, spread, plausibility, iterations
-        As in `epiprior.types.FundamentalEstimate`; `matches` are those that support is counted over.
-    error_px, median_error_px : float
-        Mean and median over the control points of the root of the Sampson distance.
-    distance : float
-        Normalised symmetric geometric distance to the true F.
-    rotation_deg, translation_deg : float
-        Errors of the pose under the true calibration.
-
-    Notes
-    -----
-    Errors are those of F whatever its status. They are NaN without F, or where the truth does not allow them.
+    From `status` to `iterations` as in `epiprior.types.FundamentalEstimate`; `matches` are what support is counted
+    over. Errors are those of F whatever its status, NaN without F or where the truth does not allow them: mean and
+    median over the control points of the Sampson distance; `distance`, the normalised symmetric geometric distance to
+    the true F; angles of the pose under the true calibration.
     """
 
     estimator: str
@@ -105,14 +95,7 @@ class RunRecord(Record):
 class RankingRecord(Record):
     """One ranking of one input of a labelled pair: the one-to-one list of its best roll hypothesis.
 
-    Parameters
-    ----------
-    matches, right : int
-        Length of the list, and right matches in it.
-    average_precision : float
-        Of the list.
-    right_at : tuple of int
-        Right matches among the first ``RANKS[i]``: columns ``right_<rank>``.
+    `matches` is its length, `right_at` the right ones among the first ``RANKS[i]``: columns ``right_<rank>``.
     """
 
     input: str
@@ -139,16 +122,9 @@ class CalibrationRecord(Record):
 class TimingRecord(Record):
     """Wall time of one run from image files to F.
 
-    Parameters
-    ----------
-    input : str
-        As in `RunRecord`, or `CASCADE`: without preprocessing first, and with it where that is turned down.
-    seconds_features, seconds_matching, seconds_estimator, seconds_total : float
-        Of both images' features; from features to (ranked) matches; from matches to F; all together.
-    preprocessed : bool
-        Whether matches were ranked; for the cascade, whether it came to that.
-    error_px : float
-        As in `RunRecord`.
+    `input` is as in `RunRecord`, or `CASCADE`: without preprocessing first, and with it where that is turned down.
+    Seconds are those of both images' features, from features to (ranked) matches, from matches to F, and of all.
+    `preprocessed` is whether matches were ranked; for the cascade, whether it came to that.
     """
 
     estimator: str

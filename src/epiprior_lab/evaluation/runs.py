@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -116,7 +116,18 @@ def run_record(
     threshold_px : float
         Matches within it choose among the four poses of F, pixels.
     """
-    record = RunRecord(
+    F, cameras = estimate.raw_F, (pair.camera1, pair.camera2)
+    mean = median = distance = rotation = translation = float("nan")
+    if F is not None:
+        errors = errors_px(F, truth.x1, truth.x2)
+        mean, median = float(errors.mean()), float(np.median(errors))
+        if truth.F is not None:
+            child = child_seed(measures.seed, pair.pair_id)
+            distance = symmetric_distance(F, truth.F, pair.sizes(), points=measures.distance_points, seed=child)
+        if cameras[0] is not None and cameras[1] is not None:
+            near = sampson_distance(F, estimate.x1, estimate.x2) < threshold_px
+            rotation, translation = pose_errors(F, (cameras[0], cameras[1]), estimate.x1[near], estimate.x2[near])
+    return RunRecord(
         group=group,
         pair_id=pair.pair_id,
         scene=pair.scene,
@@ -129,26 +140,12 @@ def run_record(
         spread=estimate.spread,
         plausibility=estimate.plausibility,
         iterations=estimate.iterations,
-        error_px=np.nan,
-        median_error_px=np.nan,
-        distance=np.nan,
-        rotation_deg=np.nan,
-        translation_deg=np.nan,
+        error_px=mean,
+        median_error_px=median,
+        distance=distance,
+        rotation_deg=rotation,
+        translation_deg=translation,
     )
-    F = estimate.raw_F
-    if F is None:
-        return record
-    errors = errors_px(F, truth.x1, truth.x2)
-    record = replace(record, error_px=float(errors.mean()), median_error_px=float(np.median(errors)))
-    if truth.F is not None:
-        child = child_seed(measures.seed, pair.pair_id)
-        distance = symmetric_distance(F, truth.F, pair.sizes(), points=measures.distance_points, seed=child)
-        record = replace(record, distance=distance)
-    if pair.camera1 is not None and pair.camera2 is not None:
-        near = sampson_distance(F, estimate.x1, estimate.x2) < threshold_px
-        angles = pose_errors(F, (pair.camera1, pair.camera2), estimate.x1[near], estimate.x2[near])
-        record = replace(record, rotation_deg=angles[0], translation_deg=angles[1])
-    return record
 
 
 def run_pair(
@@ -191,16 +188,8 @@ def run_pairs(
 ) -> list[RunRecord]:
     """Run every estimator on its inputs of every pair in parallel: one task per pair and estimator.
 
-    Parameters
-    ----------
-    pairs, matched : sequences
-        In one order; the matches of all inputs that are used.
-    inputs : mapping of str to sequence of str
-        For each estimator the inputs that it gets.
-    seeds, hand_overs, truth, measures
-        As for `run_pair`, with the estimator first: ``hand_overs[estimator][input]``.
-    workers, store
-        As for `epiprior_lab.compute.tasks.map_tasks`.
+    `pairs` and `matched` are in one order; other parameters as for `run_pair`, and for
+    `epiprior_lab.compute.tasks.map_tasks`.
     """
     tasks = []
     for pair, matches in zip(pairs, matched, strict=True):

@@ -12,21 +12,9 @@ FOLDER = Path("data/real")
 
 
 def link_sets(names: Sequence[str], source: Path | None, folder: Path = FOLDER) -> list[Path]:
-    """Link pair sets into a folder, one link per set, so that imported sets may lie beside them.
+    """Link the named pair sets of a folder into another, and return their paths; without `source` check what is there.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Sets that are wanted.
-    source : Path, optional
-        Folder of pair sets; None only checks that all are there.
-    folder : Path
-        Where links go; made if absent. A set that lies there itself stays as it is; a link is set anew.
-
-    Returns
-    -------
-    list of Path
-        Of the sets, in the order of `names`.
+    A set that lies in `folder` itself stays as it is; a link is set anew.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Measures of the evaluation: successes, rankings, calibration, and paired bootstrap intervals.
+"""Successes and paired bootstrap intervals.
 
 Conventions: errors are pixels, ``inf`` or NaN where there is no fundamental matrix, which counts as a failure
 and never as missing; a success is an error strictly below the threshold; deviations over seeds are sample
@@ -18,45 +18,11 @@ from numpy.typing import ArrayLike
 
 from epiprior.errors import SettingsError
 from epiprior.types import BoolArray, FloatArray
-from epiprior_lab.measures import (
-    CalibrationBins,
-    average_precision,
-    calibration_bins,
-    log_ranks,
-    precision_at,
-    right_among_first,
-)
-
-__all__ = [
-    "CalibrationBins",
-    "Comparison",
-    "Interval",
-    "area_under_success_curve",
-    "average_precision",
-    "bootstrap_mean",
-    "bootstrap_weights",
-    "calibration_bins",
-    "contribution",
-    "log_ranks",
-    "paired_bootstrap",
-    "precision_at",
-    "right_among_first",
-    "success_curve",
-    "successes",
-]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """An estimate and its percentile bootstrap interval.
-
-    Parameters
-    ----------
-    value : float
-        The estimate on the data themselves.
-    low, high : float
-        Ends of the interval.
-    """
+    """An estimate on the data themselves and the ends of its percentile bootstrap interval."""
 
     value: float
     low: float
@@ -65,16 +31,9 @@ class Interval:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Paired comparison of a measure without and with the preprocessing step.
+    """Paired comparison of a measure without and with the preprocessing step: means over pairs.
 
-    Parameters
-    ----------
-    without, with_step : Interval
-        Means over pairs.
-    difference : Interval
-        Mean of ``with - without``.
-    contribution : Interval
-        The paper's ``(with - without) / without``, of the means; see `contribution`.
+    `difference` is ``with - without``, `contribution` the paper's ``(with - without) / without`` of the means.
     """
 
     without: Interval
@@ -84,34 +43,17 @@ class Comparison:
 
 
 def contribution(without: ArrayLike, with_step: ArrayLike) -> FloatArray:
-    """Return the paper's contribution ``(with - without) / without``.
-
-    Parameters
-    ----------
-    without, with_step : array_like, one shape
-        Successes, >= 0.
-
-    Returns
-    -------
-    ndarray, float64
-        0 where both are 0; ``inf`` where only `without` is 0.
-    """
+    """Return the paper's ``(with - without) / without`` of successes: 0 over 0 is 0, others over 0 are ``inf``."""
     a, b = np.broadcast_arrays(np.asarray(without, np.float64), np.asarray(with_step, np.float64))
     out = np.where(b > 0, np.inf, 0.0)
     return np.asarray(np.divide(b - a, a, out=out, where=a > 0))
 
 
 def bootstrap_weights(n: int, *, draws: int, seed: int, groups: Sequence[str] | None = None) -> FloatArray:
-    """Return how often each observation is drawn in each bootstrap sample.
+    """Return how often each of `n` pairs is drawn in each of `draws` bootstrap samples.
 
     Parameters
     ----------
-    n : int
-        Number of observations (pairs), >= 1.
-    draws : int
-        Number of bootstrap samples, >= 1.
-    seed : int
-        Seed of the random draw.
     groups : sequence of str, length n, optional
         Scene of each pair: whole scenes are drawn, because pairs of one scene are alike; otherwise pairs.
 
@@ -152,17 +94,7 @@ def _interval(value: float, samples: FloatArray, level: float) -> Interval:
 def bootstrap_mean(
     values: ArrayLike, *, draws: int, seed: int, groups: Sequence[str] | None = None, level: float = 0.95
 ) -> Interval:
-    """Return the mean of `values` and its bootstrap interval.
-
-    Parameters
-    ----------
-    values : array_like, shape (N,)
-        One value per pair, finite, N >= 1.
-    draws, seed, groups
-        As for `bootstrap_weights`.
-    level : float
-        Coverage of the interval, in (0, 1).
-    """
+    """Return the mean of `values`, one finite value per pair, and its interval, drawn as in `bootstrap_weights`."""
     v = np.asarray(values, np.float64)
     return _interval(v.mean(), bootstrap_weights(len(v), draws=draws, seed=seed, groups=groups) @ v, level)
 
@@ -184,13 +116,6 @@ def paired_bootstrap(
         One finite value per pair, in one order, N >= 1; for successes, the share of seeds that succeeded.
     draws, seed, groups
         As for `bootstrap_weights`; both sides are resampled together.
-    level : float
-        Coverage of the intervals, in (0, 1).
-
-    Returns
-    -------
-    Comparison
-        Of means over pairs; multiply by N for numbers of pairs.
 
     Raises
     ------
@@ -237,19 +162,9 @@ def success_curve(errors_px: ArrayLike, thresholds_px: ArrayLike) -> tuple[Float
 
 
 def area_under_success_curve(errors_px: ArrayLike, limit_px: float) -> float:
-    """Return the mean share of successes over all thresholds from 0 to `limit_px`.
+    """Return the mean share of successes over all thresholds from 0 to `limit_px`, > 0.
 
-    Parameters
-    ----------
-    errors_px : array_like, any shape, at least one entry
-        Errors, pixels.
-    limit_px : float
-        Highest threshold, pixels, > 0.
-
-    Returns
-    -------
-    float
-        In [0, 1]; exact, not a sum over a grid: each error e adds ``max(0, 1 - e / limit)``.
+    It is exact, not a sum over a grid: each error e adds ``max(0, 1 - e / limit)``.
     """
     errors = np.nan_to_num(np.asarray(errors_px, np.float64), nan=np.inf)
     return float(np.clip(1 - errors / limit_px, 0, 1).mean())

@@ -28,25 +28,9 @@ def spread_pairs(pairs: Sequence[Pair], count: int) -> list[Pair]:
 def time_pair(
     pair: Pair, protocol: Protocol, rule: CascadeRule, *, group: str, seeds: Sequence[int]
 ) -> list[TimingRecord]:
-    """Time one pair.
+    """Time one pair by input, estimator and seed; records of the cascade come last.
 
-    Parameters
-    ----------
-    pair : Pair
-        Its images are read anew for each input, since that is what a user pays.
-    protocol : Protocol
-        Estimators, their inputs and hand-overs; inputs of peers are left out.
-    rule : CascadeRule
-        Of the cascade.
-    group : str
-        Leads every record.
-    seeds : sequence of int
-        One run each.
-
-    Returns
-    -------
-    list of TimingRecord
-        By input, estimator and seed; those of the cascade last.
+    Images are read anew for each input, since that is what a user pays. Inputs of peers are left out.
     """
     truth = pair_truth(pair, protocol.truth)
     found: dict[tuple[str, int, str], tuple[TimingRecord, FundamentalEstimate]] = {}

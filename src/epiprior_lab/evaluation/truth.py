@@ -34,8 +34,6 @@ class TruthSettings:
 
     Parameters
     ----------
-    labels : LabelSettings
-        When a match is right.
     plane_px : float
         Control points that near one homography lie on one plane.
     one_plane : tuple of str
@@ -76,16 +74,10 @@ def truth_settings(params: TruthParams) -> TruthSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """The ground truth of a pair.
+    """The ground truth of a pair; `labels` and `points` as in `epiprior_lab.evaluation.records.PairRecord`.
 
-    Parameters
-    ----------
-    labels, points : str
-        As in `epiprior_lab.evaluation.records.PairRecord`.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Points at which an estimate is measured, pixels.
-    F : ndarray, shape (3, 3), or None
-        None where nothing decides it: a homography is given, or all control points lie on one plane.
+    `x1`, `x2`, shape (N, 2), are the points at which an estimate is measured, pixels. `F` is None where nothing
+    decides it: a homography is given, or all control points lie on one plane.
     """
 
     labels: str
@@ -120,17 +112,8 @@ def pair_truth(pair: Pair, settings: TruthSettings) -> Truth:
 
 
 def on_one_plane(x1: FloatArray, x2: FloatArray, threshold_px: float) -> bool:
-    """Return whether points follow one homography but for a few, so that they decide no F.
+    """Return whether points, (N, 2), follow one homography within a distance but for a few, so that they decide no F.
 
-    Parameters
-    ----------
-    x1, x2 : ndarray, shape (N, 2), float64
-        Control points, pixels.
-    threshold_px : float
-        Largest distance in either image.
-
-    Notes
-    -----
     Two points beside the plane would do for an F without noise; we ask for three, and for a twentieth of all.
     """
     if len(x1) < 5:
@@ -145,8 +128,6 @@ def on_one_plane(x1: FloatArray, x2: FloatArray, threshold_px: float) -> bool:
 def evaluation_points(pair: Pair) -> tuple[FloatArray, FloatArray]:
     """Return the control points of a pair, or where it has none, points that its cameras or its F allow.
 
-    Notes
-    -----
     Without control points it is unknown what the two images share. A regular grid of points of image 1 is then paired
     with points on their true epipolar lines, spread over the part of each line that image 2 shows.
 
@@ -175,8 +156,6 @@ def evaluation_points(pair: Pair) -> tuple[FloatArray, FloatArray]:
 def true_roll_deg(pair: Pair) -> float:
     """Return the roll between the cameras, degrees in (-180, 180]; NaN without cameras.
 
-    Notes
-    -----
     The angle of the rotation that lies closest to the upper left 2 x 2 block of the relative rotation: how
     directions near the optical axis turn in the image, clockwise as seen on the screen.
     """

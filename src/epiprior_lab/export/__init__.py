@@ -1,1 +1,1 @@
-"""Trained classifiers as model folders of the library."""
+"""Model folders from the results of training."""

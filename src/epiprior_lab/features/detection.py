@@ -15,15 +15,7 @@ from epiprior_lab.pairsets import Pair
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedPair:
-    """The working images of a pair and their features.
-
-    Parameters
-    ----------
-    photographs : tuple of Photograph
-        They remember their descriptors at fixed orientations.
-    features : tuple of Features
-        Of both images, at their own orientations.
-    """
+    """The working images of a pair, which cache their descriptors at fixed orientations, and their features."""
 
     photographs: tuple[Photograph, Photograph]
     features: tuple[Features, Features]

@@ -34,8 +34,7 @@ def paired_runs(runs: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame
         One row per group, pair, estimator and seed: ``status`` and ``plausibility`` without preprocessing,
-        ``with_status`` with it, and the errors ``without_px``, ``with_px``, infinite without F. The status decides what
-        a cascade does, not whether its F is right.
+        ``with_status`` with it, and the errors ``without_px``, ``with_px``, infinite without F, whatever the status.
     """
     keys = ["group", "pair_id", "scene", "estimator", "seed"]
     table = runs.assign(error_px=runs["error_px"].fillna(np.inf))
@@ -77,14 +76,9 @@ def candidate_rules(params: CascadeParams) -> list[CascadeRule]:
 class LearntRule:
     """A rule and what it does on the runs it was learnt from.
 
-    Parameters
-    ----------
-    rule : CascadeRule
-        The choice.
-    outcomes : DataFrame
-        Indexed by estimator, in the order of the runs, `ALL` last; shares of the runs: ``preprocessed``, ``lost``
-        (those that succeed with preprocessing and not with the cascade), and the same as ``held_out_preprocessed``
-        and ``held_out_lost``, each scene under the rule that the other scenes would have chosen.
+    `outcomes` is indexed by estimator, in the order of the runs, `ALL` last; it holds shares of the runs:
+    ``preprocessed``, ``lost`` (those that succeed with preprocessing and not with the cascade), and the same as
+    ``held_out_preprocessed`` and ``held_out_lost``, each scene under the rule that the other scenes would have chosen.
     """
 
     rule: CascadeRule

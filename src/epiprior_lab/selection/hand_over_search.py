@@ -48,16 +48,9 @@ _VARIED = {
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One hand-over of one input to one estimator, tried on all validation pairs.
+    """One hand-over of one input to one estimator, tried on all validation pairs when the setting `step` was varied.
 
-    Parameters
-    ----------
-    step : str
-        The setting that was varied.
-    how : HandOver
-        What was tried.
-    errors_px : ndarray, shape (P, S), float64
-        Errors of the pairs over seeds, pixels; NaN without a fundamental matrix.
+    `errors_px`, shape (P, S), holds the errors of the pairs over seeds, pixels; NaN without a fundamental matrix.
     """
 
     estimator: str
@@ -123,22 +116,10 @@ def candidate_errors(
     seeds: Sequence[int],
     known: Known = EMPTY_MAPPING,
 ) -> FloatArray:
-    """Return the errors of all candidates of one estimator on one pair.
+    """Return the errors of all candidates of one estimator on one pair, shape (len(candidates), len(seeds)).
 
-    Parameters
-    ----------
-    pair : Pair
-        Gives the control points.
-    candidates : sequence of (input, HandOver)
-        What is tried.
-    known : mapping of str to (HandOver, sequence of float)
-        Per input, a hand-over that was tried before, and its errors: nothing runs again for a candidate that comes to
-        the same.
-
-    Returns
-    -------
-    ndarray, shape (len(candidates), len(seeds)), float64
-        Pixels; NaN without a fundamental matrix.
+    They are pixels, NaN without a fundamental matrix. `known` tells per input a hand-over that was tried before, and
+    its errors: nothing runs again for a candidate that comes to the same.
     """
     points, sets = pair.control_points(), matches.read()
     found = {(name, _effect(sets, name, how)): list(before) for name, (how, before) in known.items()}
@@ -179,12 +160,8 @@ def search_hand_overs(
         Validation pairs.
     inputs : mapping of str to sequence of str
         For each estimator the inputs that it gets.
-    params : HandOverParams
-        Seeds, and the values of each setting.
     files : sequence of Path
         The model files, which decide the matches beside the pairs' own files.
-    workers, store
-        As for `epiprior_lab.compute.tasks.map_tasks`.
 
     Returns
     -------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from epiprior_lab.export.onnx_files import export_model
+from epiprior_lab.export.model_folder import export_model
 from epiprior_lab.params import load_study
 
 

@@ -19,18 +19,14 @@ def extract(pair: Pair, presets: Sequence[str], labels: LabelSettings) -> dict[s
 
 
 def main() -> None:
-    """Write ``data/features/<preset>/<pair_id>-<hypothesis>.npz`` for every preset and training pair."""
+    """Write ``data/features/<preset>/<pair_id>-<roll hypothesis>.npz`` for every preset and training pair."""
     params = load_study()
-    presets = params.features.presets
-    labels = LabelSettings.of(params.truth)
+    shared = {"presets": params.features.presets, "labels": LabelSettings.of(params.truth)}
     pairs = [pair for folder in params.features.pair_sets for pair in read_pair_set(Path(folder)).pairs]
-    tasks = [
-        Task(name=pair.pair_id, payload={"pair": pair, "presets": presets, "labels": labels}, files=pair.files)
-        for pair in pairs
-    ]
+    tasks = [Task(name=pair.pair_id, payload={"pair": pair, **shared}, files=pair.files) for pair in pairs]
     store = Path("data/.tasks/features")
     found = map_tasks(extract, tasks, workers=default_workers(), description="features", store=store)
-    for preset in presets:
+    for preset in params.features.presets:
         out = Path("data/features") / preset
         out.mkdir(parents=True, exist_ok=True)
         for pair, tables in zip(pairs, found, strict=True):

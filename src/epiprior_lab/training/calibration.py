@@ -1,4 +1,4 @@
-"""Calibration of probabilities: Platt scaling of logits, expected calibration error, reliability curve."""
+"""Platt scaling of classifiers' probabilities."""
 
 from __future__ import annotations
 
@@ -22,13 +22,7 @@ class CalibrationError(EpipriorError, ValueError):
 
 @dataclass(frozen=True)
 class Platt:
-    """``sigmoid(a * logit(p) + b)``.
-
-    Parameters
-    ----------
-    a, b : float
-        Slope, > 0, and offset.
-    """
+    """``sigmoid(a * logit(p) + b)`` with a slope ``a > 0``."""
 
     a: float
     b: float
@@ -38,37 +32,15 @@ class Platt:
         return calibrate(probability, self.a, self.b)
 
 
-@dataclass(frozen=True)
-class Reliability:
-    """Reliability curve; bins without a row are left out.
-
-    Parameters
-    ----------
-    predicted, observed : ndarray, shape (B,), float64
-        Mean probability and share of right ones of each bin.
-    count : ndarray, shape (B,), int64
-        Rows of each bin.
-    """
-
-    predicted: FloatArray
-    observed: FloatArray
-    count: IntArray
-
-
-def fit_sigmoid(score: FloatArray, labels: BoolArray) -> tuple[float, float]:
+def fit_sigmoid(score: FloatArray, labels: BoolArray, start: tuple[float, float] | None = None) -> tuple[float, float]:
     """Fit ``P(label) = sigmoid(a * score + b)`` by maximum likelihood.
 
     Parameters
     ----------
-    score : ndarray, shape (N,), float64
-        Any real score, finite.
-    labels : ndarray, shape (N,), bool
-        Both classes must be there.
-
-    Returns
-    -------
-    a, b : float
-        Slope and offset.
+    score, labels : ndarray, shape (N,), float64 and bool
+        Finite scores, and which rows are right; both classes must be present.
+    start : tuple of float, optional
+        Slope and offset to start from, such as those of similar rows; saves iterations.
 
     Raises
     ------
@@ -98,6 +70,8 @@ def fit_sigmoid(score: FloatArray, labels: BoolArray) -> tuple[float, float]:
         return float(np.sum(np.logaddexp(0.0, margin) - target * margin))
 
     theta = np.array([0.0, np.log((right + 1) / (wrong + 1))])
+    if start is not None:
+        theta = np.array([start[0] * spread, start[1] + start[0] * middle])
     current = loss(theta)
     for _ in range(_ITERATIONS):
         p = expit(theta[0] * x + theta[1])
@@ -122,82 +96,30 @@ def fit_sigmoid(score: FloatArray, labels: BoolArray) -> tuple[float, float]:
 
 
 def fit_platt(probability: FloatArray, labels: BoolArray) -> Platt:
-    """Fit Platt scaling to out-of-fold probabilities.
-
-    Parameters
-    ----------
-    probability : ndarray, shape (N,), float64
-        Of rows that the classifier was not trained on, in [0, 1].
-    labels : ndarray, shape (N,), bool
-        Which rows are right.
-
-    Returns
-    -------
-    Platt
-        To apply to the classifier's probabilities.
+    """Fit Platt scaling to probabilities, in [0, 1], of rows that the classifier was not trained on.
 
     Raises
     ------
     CalibrationError
         See `fit_sigmoid`.
     """
-    return Platt(*fit_sigmoid(logit(np.clip(probability, _CLIP, 1 - _CLIP)), labels))
+    return Platt(*fit_sigmoid(_logit(probability), labels))
 
 
 def cross_calibrate(probability: FloatArray, labels: BoolArray, fold: IntArray) -> FloatArray:
-    """Return out-of-fold probabilities, each calibrated on the rows of the other folds.
+    """Return out-of-fold probabilities, shape (N,), each calibrated on the rows of the other folds.
 
-    Parameters
-    ----------
-    probability : ndarray, shape (N,), float64
-        Out-of-fold probabilities.
-    labels : ndarray, shape (N,), bool
-        Which rows are right.
-    fold : ndarray, shape (N,), int64
-        Fold of each row; at least two.
-
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        In (0, 1): what a calibration measures without having seen the row. A fold stays as it is where the
-        others cannot be calibrated.
+    A fold keeps its probabilities where the rows of the others cannot be calibrated.
     """
     result = np.array(probability, np.float64)
+    score, start = _logit(probability), None
     for number in np.unique(fold):
         held = fold == number
         with contextlib.suppress(CalibrationError):
-            result[held] = fit_platt(probability[~held], labels[~held])(probability[held])
+            start = fit_sigmoid(score[~held], labels[~held], start)
+            result[held] = Platt(*start)(probability[held])
     return result
 
 
-def reliability(probability: FloatArray, labels: BoolArray, *, bins: int = 15) -> Reliability:
-    """Return the reliability curve over bins of equal width.
-
-    Parameters
-    ----------
-    probability : ndarray, shape (N,), float64
-        In [0, 1].
-    labels : ndarray, shape (N,), bool
-        Which rows are right.
-    bins : int
-        Bins of [0, 1], >= 1.
-
-    Returns
-    -------
-    Reliability
-        Empty for no rows.
-    """
-    index = np.minimum((np.asarray(probability) * bins).astype(np.int64), bins - 1)
-    count = np.bincount(index, minlength=bins)
-    kept = count > 0
-    predicted = np.bincount(index, weights=probability, minlength=bins)[kept] / count[kept]
-    observed = np.bincount(index, weights=labels.astype(np.float64), minlength=bins)[kept] / count[kept]
-    return Reliability(predicted, observed, count[kept].astype(np.int64))
-
-
-def expected_calibration_error(probability: FloatArray, labels: BoolArray, *, bins: int = 15) -> float:
-    """Return the mean distance of the reliability curve from the diagonal, by rows; NaN for no rows."""
-    if not len(probability):
-        return float("nan")
-    curve = reliability(probability, labels, bins=bins)
-    return float(np.sum(curve.count * np.abs(curve.predicted - curve.observed)) / np.sum(curve.count))
+def _logit(probability: FloatArray) -> FloatArray:
+    return np.asarray(logit(np.clip(probability, _CLIP, 1 - _CLIP)))

@@ -1,61 +1,55 @@
-"""Cross-validation of the families of classifiers, grouped by scene, and the measures that compare them."""
+"""Cross-validation of a family of classifiers, grouped by scene, and the measures that families are compared by."""
 
 from __future__ import annotations
 
+import pickle
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
 
-from epiprior.errors import SettingsError
-from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
+from epiprior.types import BoolArray, FloatArray, IntArray
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.training.calibration import cross_calibrate
-from epiprior_lab.training.families import Fitted, TrainingError, fit
-from epiprior_lab.training.metrics import METRICS, ranking_metrics, row_metrics
+from epiprior_lab.training.families import TrainingError, fit
+from epiprior_lab.training.metrics import METRICS, mean_over_pairs, pair_metrics, row_metrics
+from epiprior_lab.training.samples import TargetRows
 
 
 @dataclass(frozen=True, kw_only=True)
 class CrossValidation:
-    """Out-of-fold probabilities of one family, and what they are worth.
+    """Out-of-fold probabilities of one family, and their measures.
 
     Parameters
     ----------
-    family : str
-        Name in `families.FAMILIES`.
-    grouped : bool
-        True: all rows of a scene are in one fold. False: rows are dealt out one by one, as in the paper.
-    columns : tuple of str
-        Names of the columns.
-    probability : ndarray, shape (N,), float64
-        Each by the classifier that was not trained on the row's fold.
-    calibrated : ndarray, shape (N,), float64
-        The same after Platt scaling fitted on the rows of the other folds.
     fold : ndarray, shape (N,), int64
         Fold of each row.
+    probability : ndarray, shape (N,), float64
+        Each by the classifier that was not trained on the row's fold.
+    calibrated : ndarray, shape (N,), float64, or None
+        The same after Platt scaling fitted on the rows of the other folds. None for folds of rows.
     metrics : mapping
         Each of `METRICS` over all rows: ranking metrics are means over pairs. NaN where undefined.
     calibrated_metrics : mapping
-        The same of `calibrated`.
+        The same of `calibrated`; empty without.
     fold_metrics : tuple of mapping
-        The same over the rows of each fold. Ungrouped, a fold holds a part of every pair: no ranking metrics
-        there.
+        The same over the rows of each fold. A fold of rows holds a part of every pair: no ranking metrics there.
+    classifiers : tuple of bytes
+        The pickled classifier of each fold, if they were kept.
     seconds_per_10000_rows : tuple of float
         Time to predict, per fold. Never part of what must be the same in every run.
     """
 
-    family: str
-    grouped: bool
-    columns: tuple[str, ...]
-    probability: FloatArray
-    calibrated: FloatArray
     fold: IntArray
+    probability: FloatArray
+    calibrated: FloatArray | None
     metrics: Mapping[str, float]
     calibrated_metrics: Mapping[str, float]
     fold_metrics: tuple[Mapping[str, float], ...]
+    classifiers: tuple[bytes, ...]
     seconds_per_10000_rows: tuple[float, ...]
 
     def deviations(self) -> dict[str, float]:
@@ -70,17 +64,6 @@ class CrossValidation:
 
 def folds_by_scene(labels: BoolArray, scene: NDArray[np.str_], folds: int, seed: int) -> IntArray:
     """Deal scenes out to folds so that each fold has about the same share of right rows.
-
-    Parameters
-    ----------
-    labels : ndarray, shape (N,), bool
-        Which rows are right.
-    scene : ndarray, shape (N,), str
-        Scene of each row.
-    folds : int
-        Number of folds, at most the number of scenes.
-    seed : int
-        Of the shuffle.
 
     Returns
     -------
@@ -112,119 +95,72 @@ def folds_by_row(labels: BoolArray, folds: int, seed: int) -> IntArray:
     return _fold_of_rows(splitter.split(labels, labels), len(labels))
 
 
+def _fold_of_rows(splits: Iterable[tuple[IntArray, IntArray]], rows: int) -> IntArray:
+    """Turn scikit-learn's (train, test) indices into the fold of each row."""
+    fold = np.full(rows, -1, np.int64)
+    for number, (_, test) in enumerate(splits):
+        fold[test] = number
+    return fold
+
+
 def cross_validate(
     family: str,
-    X: Float32Array,
-    y: BoolArray,
-    scene: NDArray[np.str_],
-    pair: NDArray[np.str_],
+    data: TargetRows,
+    fold: IntArray,
     *,
-    columns: tuple[str, ...],
-    folds: int = 10,
+    by_scene: bool,
     seed: int,
-    grouped: bool = True,
     max_rows: int | None = None,
-    share: Mapping[str, float] | None = None,
+    keep: bool = False,
 ) -> CrossValidation:
-    """Fit a family without each fold in turn, and measure what it says of that fold.
+    """Fit a family without each fold in turn, and measure its probabilities of that fold.
 
     Parameters
     ----------
     family : str
         Name in `families.FAMILIES`.
-    X : ndarray, shape (N, C), float32
-        Rows.
-    y : ndarray, shape (N,), bool
-        Which are right.
-    scene, pair : ndarray, shape (N,), str
-        Scene and image pair of each row.
-    columns : tuple of str
-        Names of the C columns.
-    folds : int
-        Number of folds, >= 2.
+    data, fold : TargetRows and ndarray, shape (N,), int64
+        Rows, and the fold of each.
+    by_scene : bool
+        Whether all rows of a pair are in one fold.
     seed : int
-        Of folds, samples and fits.
-    grouped : bool
-        Fold by scene (`folds_by_scene`), or by row (`folds_by_row`).
+        Of samples and fits.
     max_rows : int, optional
         Train on so many rows at most. All rows are predicted and measured.
-    share : mapping of str to float, optional
-        For pairs of which `X` holds a random sample; see `ranking_metrics`.
-
-    Returns
-    -------
-    CrossValidation
-        The same bytes for the same input, `seconds_per_10000_rows` aside.
-
-    Raises
-    ------
-    SettingsError
-        If the family is unknown or there are fewer than two folds.
-    TrainingError
-        If shapes disagree, or folds cannot be made.
+    keep : bool
+        Whether the folds' classifiers are returned.
     """
-    if folds < 2:
-        raise SettingsError(f"folds = {folds}: expected 2 or more")
-    if X.shape != (len(y), len(columns)) or len(scene) != len(y) or len(pair) != len(y):
-        raise TrainingError(
-            f"rows {X.shape}, {len(y)} labels, {len(scene)} scenes, {len(pair)} pairs and "
-            f"{len(columns)} columns do not agree"
-        )
-    fold_seed = child_seed(seed, "folds")
-    fold = folds_by_scene(y, scene, folds, fold_seed) if grouped else folds_by_row(y, folds, fold_seed)
-    probability = np.empty(len(y))
-    seconds = []
-    for number in range(folds):
-        held = fold == number
-        fitted = fit_without(family, X, y, held, number, seed=seed, max_rows=max_rows)
-        rows = X[held]
+    labels, slices = data.labels, data.slices
+    probability = np.empty(len(labels))
+    classifiers, seconds = [], []
+    held = [fold == number for number in range(int(fold.max()) + 1)]
+    for number, rows in enumerate(held):
+        fit_seed = child_seed(seed, family, str(number))
+        fitted = fit(family, data.rows[~rows], labels[~rows], seed=fit_seed, max_rows=max_rows)
+        own = data.rows[rows]
         start = time.perf_counter()
-        probability[held] = fitted.probability(rows)
-        seconds.append((time.perf_counter() - start) / max(1, len(rows)) * 10_000)
-    fold_metrics = []
-    for number in range(folds):
-        held = fold == number
-        measured = row_metrics(probability[held], y[held])
-        if grouped:
-            measured = ranking_metrics(probability[held], y[held], pair[held], share) | measured
-        fold_metrics.append(measured)
-    calibrated = cross_calibrate(probability, y, fold)
+        probability[rows] = fitted.probability(own)
+        seconds.append((time.perf_counter() - start) / max(1, len(own)) * 10_000)
+        if keep:
+            classifiers.append(pickle.dumps(fitted))
+    of_pairs = pair_metrics(probability, labels, slices, data.share)
+    fold_metrics = [row_metrics(probability[rows], labels[rows]) for rows in held]
+    calibrated, calibrated_metrics = None, {}
+    if by_scene:
+        fold_of_pair = np.array([fold[rows][0] if len(fold[rows]) else -1 for rows in slices])
+        fold_metrics = [
+            mean_over_pairs(of_pairs[fold_of_pair == number]) | metrics for number, metrics in enumerate(fold_metrics)
+        ]
+        calibrated = cross_calibrate(probability, labels, fold)
+        calibrated_metrics = mean_over_pairs(pair_metrics(calibrated, labels, slices, data.share))
+        calibrated_metrics |= row_metrics(calibrated, labels)
     return CrossValidation(
-        family=family,
-        grouped=grouped,
-        columns=columns,
+        fold=fold,
         probability=probability,
         calibrated=calibrated,
-        fold=fold,
-        metrics=ranking_metrics(probability, y, pair, share) | row_metrics(probability, y),
-        calibrated_metrics=ranking_metrics(calibrated, y, pair, share) | row_metrics(calibrated, y),
+        metrics=mean_over_pairs(of_pairs) | row_metrics(probability, labels),
+        calibrated_metrics=calibrated_metrics,
         fold_metrics=tuple(fold_metrics),
+        classifiers=tuple(classifiers),
         seconds_per_10000_rows=tuple(seconds),
     )
-
-
-def fit_without(
-    family: str,
-    X: Float32Array,
-    y: BoolArray,
-    held: BoolArray,
-    number: int,
-    *,
-    seed: int,
-    max_rows: int | None = None,
-) -> Fitted:
-    """Fit a family without the rows `held` out in fold `number`: the very classifier of `cross_validate`."""
-    return fit(family, X[~held], y[~held], seed=child_seed(seed, family, str(number)), max_rows=max_rows)
-
-
-def fit_final(family: str, X: Float32Array, y: BoolArray, *, seed: int, max_rows: int | None = None) -> Fitted:
-    """Fit a family on all rows: the classifier that is exported. Parameters as in `cross_validate`."""
-    return fit(family, X, y, seed=child_seed(seed, family, "final"), max_rows=max_rows)
-
-
-def _fold_of_rows(splits: object, rows: int) -> IntArray:
-    """Turn scikit-learn's list of (train, test) indices into the fold of each row."""
-    fold = np.full(rows, -1, np.int64)
-    for number, (_, test) in enumerate(splits):  # type: ignore[arg-type, var-annotated]
-        fold[test] = number
-    return fold

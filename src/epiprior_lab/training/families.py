@@ -1,15 +1,13 @@
 """The families of classifiers that are compared: decision tree, random forest, SVM, LightGBM.
 
-A family is a name and how to fit; what comes out is a `Fitted`. Rows are float32 ``(N, C)``, labels bool
-``(N,)``. Every family trains in one thread on at most so many rows, sampled by class in proportion, so that
-base rates stay.
+A family is a name and a function that fits a `Fitted` to rows, float32 (N, C), and labels, bool (N,), in one thread.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import lightgbm
@@ -44,14 +42,14 @@ class TrainingError(EpipriorError, ValueError):
 
 
 class Fitted(Protocol):
-    """A fitted classifier."""
+    """A fitted classifier; `onnx_graphs.to_onnx` exports it."""
 
     @property
     def width(self) -> int:
         """Number of columns it takes."""
 
     def probability(self, rows: Float32Array) -> FloatArray:
-        """Return the probability of the right class, shape (N,), in [0, 1]."""
+        """Return the probability of the right class, shape (N,), float64, in [0, 1]; N = 0 is allowed."""
 
     def importances(self) -> FloatArray | None:
         """Return the share of each column in the decisions, shape (C,), sum 1; None if unknown."""
@@ -69,10 +67,8 @@ class Trees:
         return int(self.estimator.n_features_in_)
 
     def probability(self, rows: Float32Array) -> FloatArray:
-        """Return the probability of the right class, shape (N,)."""
-        if not len(rows):
-            return np.empty(0)
-        return np.asarray(self.estimator.predict_proba(rows)[:, 1], np.float64)
+        """Return the probability of the right class."""
+        return np.asarray(self.estimator.predict_proba(rows)[:, 1], np.float64) if len(rows) else np.empty(0)
 
     def importances(self) -> FloatArray | None:
         """Return the decrease of impurity by each column."""
@@ -91,10 +87,8 @@ class Boosted:
         return int(self.booster.num_feature())
 
     def probability(self, rows: Float32Array) -> FloatArray:
-        """Return the probability of the right class, shape (N,)."""
-        if not len(rows):
-            return np.empty(0)
-        return np.asarray(self.booster.predict(rows, num_threads=1), np.float64)
+        """Return the probability of the right class."""
+        return np.asarray(self.booster.predict(rows, num_threads=1), np.float64) if len(rows) else np.empty(0)
 
     def importances(self) -> FloatArray | None:
         """Return the gain by each column."""
@@ -104,20 +98,18 @@ class Boosted:
 
 @dataclass(frozen=True)
 class SupportVectors:
-    """An SVM with Gaussian kernel on standardised columns, and a sigmoid of its decision value.
+    """An SVM with Gaussian kernel on standardised columns, and Platt's sigmoid of its decision value.
 
     Parameters
     ----------
     mean, scale : ndarray, shape (C,), float64
-        Standardisation: ``(x - mean) / scale``.
-    vectors : ndarray, shape (S, C), float64
-        Support vectors, standardised.
-    weights : ndarray, shape (S,), float64
-        Their weights.
+        Standardisation: ``x = (row - mean) / scale``.
+    vectors, weights : ndarray, shape (S, C) and (S,), float64
+        Standardised support vectors ``v_s`` and their weights.
     intercept, gamma : float
         Of the decision value ``sum_s weights_s exp(-gamma |x - v_s|^2) + intercept``.
     a, b : float
-        Platt's sigmoid, fitted on rows that the SVM was not trained on.
+        The sigmoid, fitted on rows that the SVM was not trained on.
     """
 
     mean: FloatArray
@@ -146,7 +138,7 @@ class SupportVectors:
         return result
 
     def probability(self, rows: Float32Array) -> FloatArray:
-        """Return the probability of the right class, shape (N,)."""
+        """Return the probability of the right class."""
         return np.asarray(expit(self.a * self.decision(rows) + self.b), np.float64)
 
     def importances(self) -> FloatArray | None:
@@ -154,14 +146,9 @@ class SupportVectors:
         return None
 
 
-Fit = Callable[[Float32Array, BoolArray, int], Fitted]
-
-
 def fit_tree(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
     """Fit the paper's classifier (section 4.4), a decision tree like C4.5.
 
-    Notes
-    -----
     Like C4.5 it splits by information and smooths its leaves after Laplace, ``(n1 + 1) / (n + 2)``. Unlike
     C4.5, which prunes by a pessimistic estimate of the error, it prunes by cost and complexity.
     """
@@ -186,41 +173,35 @@ def fit_forest(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
 def fit_lightgbm(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
     """Fit gradient-boosted trees: 100 rounds, 31 leaves; 50,000 rows then take about 0.1 s in onnxruntime."""
     data = lightgbm.Dataset(rows, labels.astype(np.float32), params={"verbosity": -1})
-    booster = lightgbm.train(
-        {**_LIGHTGBM, "seed": seed, "min_data_in_leaf": min(300, max(20, len(rows) // 200))},
-        data,
-        _LIGHTGBM_ROUNDS,
-    )
-    return Boosted(_float32_thresholds(booster))
+    settings = {**_LIGHTGBM, "seed": seed, "min_data_in_leaf": min(300, max(20, len(rows) // 200))}
+    return Boosted(_float32_thresholds(lightgbm.train(settings, data, _LIGHTGBM_ROUNDS)))
 
 
 def fit_svm(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
     """Fit an SVM with Gaussian kernel on three quarters of the rows, and Platt's sigmoid on the rest.
 
-    Notes
-    -----
-    Training takes time cubic in the rows, hence the low cap on them (``max_svm_rows``). The sigmoid is our
-    own: ``SVC(probability=True)`` is going to be removed from scikit-learn, and refits the SVM five times.
+    Training takes time cubic in the rows, hence their low cap (``max_svm_rows``). ``SVC(probability=True)`` is not
+    used: scikit-learn deprecates it, and it refits the SVM five times.
     """
     held = np.zeros(len(rows), bool)
     held[sample_by_class(labels, max(2, len(rows) // 4), seed)] = True
     mean = rows.mean(axis=0, dtype=np.float64)
     scale = rows.std(axis=0, dtype=np.float64)
     scale[scale == 0] = 1.0
-    svm = SVC(C=1.0, gamma=1.0 / rows.shape[1], cache_size=500)
+    gamma = 1.0 / rows.shape[1]
+    svm = SVC(C=1.0, gamma=gamma, cache_size=500)
     svm.fit((rows[~held].astype(np.float64) - mean) / scale, labels[~held])
-    fitted = SupportVectors(
-        mean, scale, svm.support_vectors_, svm.dual_coef_[0], float(svm.intercept_[0]), 1.0 / rows.shape[1]
-    )
+    fitted = SupportVectors(mean, scale, svm.support_vectors_, svm.dual_coef_[0], float(svm.intercept_[0]), gamma)
     a, b = fit_sigmoid(fitted.decision(rows[held]), labels[held])
-    return SupportVectors(**{**vars(fitted), "a": a, "b": b})
+    return replace(fitted, a=a, b=b)
 
 
-FAMILIES: dict[str, Fit] = {
-    "tree": fit_tree,
+# The slowest first: the last task to end decides how long all take.
+FAMILIES: dict[str, Callable[[Float32Array, BoolArray, int], Fitted]] = {
     "random-forest": fit_forest,
     "svm": fit_svm,
     "lightgbm": fit_lightgbm,
+    "tree": fit_tree,
 }
 
 
@@ -231,26 +212,19 @@ def fit(family: str, rows: Float32Array, labels: BoolArray, *, seed: int, max_ro
     ----------
     family : str
         Name in `FAMILIES`.
-    rows : ndarray, shape (N, C), float32
-        Finite.
-    labels : ndarray, shape (N,), bool
-        Which rows are right; both classes must be there.
+    rows, labels : ndarray, shape (N, C), float32, and (N,), bool
+        Finite rows, and which are right; both classes must be present.
     seed : int
         Of the sample and of the family's own draws.
     max_rows : int, optional
         Train on so many rows at most, sampled by `sample_by_class`.
-
-    Returns
-    -------
-    Fitted
-        The classifier.
 
     Raises
     ------
     SettingsError
         If the family is unknown.
     TrainingError
-        If the rows cannot be trained on; the message says why.
+        If the rows cannot be trained on.
     """
     if family not in FAMILIES:
         raise SettingsError(f"family {family!r}: expected one of {', '.join(FAMILIES)}")
@@ -282,10 +256,9 @@ def sample_by_class(labels: BoolArray, size: int, seed: int) -> IntArray:
 
 
 def _float32_thresholds(booster: lightgbm.Booster) -> lightgbm.Booster:
-    """Round every threshold down to float32.
+    """Round every threshold down to float32, which ONNX then keeps exactly.
 
     LightGBM compares in double; for a float32 value x, ``x <= t`` and ``x <= float32 below t`` are the same.
-    ONNX keeps thresholds in float32, to the nearest: rounded here, they are kept exactly.
     """
 
     def rounded(match: re.Match[str]) -> str:

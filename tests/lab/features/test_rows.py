@@ -57,9 +57,22 @@ def test_rows_are_those_of_the_library_with_their_labels(pair, name):
     assert tuple(each.roll_deg for each in found) == roll_hypotheses(prepared, settings)
     for each in found:
         candidates = hypothesis.find_candidates(prepared, each.roll_deg, settings)
-        assert equal(each.frames, candidates.frames)
-        assert equal(each.united.frames, candidates.united.frames)
-        for frames, labels in ((candidates.frames, each.labels), (candidates.united.frames, each.united_labels)):
-            wanted = label_matches(pair, frames.x1, frames.x2, frames.scale1, frames.scale2)
-            np.testing.assert_array_equal(labels, wanted)
-            assert 0 < wanted.sum() < len(wanted)
+        frames, found = candidates.united.frames, candidates.two_keypoints
+        assert equal(each.united.frames, frames)
+        wanted = label_matches(pair, frames.x1, frames.x2, frames.scale1, frames.scale2)
+        np.testing.assert_array_equal(each.united_labels, wanted)
+        assert 0 < wanted.sum() < len(wanted)
+        frames = candidates.frames
+        wanted = label_matches(pair, frames.x1, frames.x2, frames.scale1, frames.scale2)
+        np.testing.assert_array_equal(each.two_keypoint_labels, wanted[found.main] & wanted[found.other])
+
+
+def test_stored_rows_are_read_as_they_were(pair, tmp_path):
+    (stored,) = rows.extract_rows(pair, ("default",))["default"]
+    (tmp_path / "rows.npz").write_bytes(rows.rows_to_bytes(stored))
+    read = rows.read_rows(tmp_path / "rows.npz")
+    assert rows.rows_to_bytes(read) == rows.rows_to_bytes(stored)
+    assert read.two_keypoints.columns == stored.two_keypoints.columns
+    probability = np.full(len(stored.two_keypoints), 0.5)
+    for a, b in zip(rows.match_rows(read, probability), rows.match_rows(stored, probability), strict=True):
+        np.testing.assert_array_equal(a, b)

@@ -1,17 +1,11 @@
 """Distances of fundamental matrices and errors of poses: exact geometry, and slow twins."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from epiprior.geometry import normalise_fundamental
-from epiprior.types import FundamentalEstimate, Status
-from epiprior_lab.evaluation.photographs.estimation import measured
-from epiprior_lab.evaluation.photographs.measures import points_on_lines, pose_errors, symmetric_distance
-from epiprior_lab.evaluation.photographs.truth import Truth, on_one_plane, split_of
-from epiprior_lab.pairsets import Camera, Pair, fundamental_from_cameras
-from epiprior_lab.params import MeasureParams
+from epiprior_lab.evaluation.distances import points_on_lines, pose_errors, symmetric_distance
+from epiprior_lab.pairsets import Camera, fundamental_from_cameras
 from synthetic import HEIGHT, WIDTH, K, rotation
 
 SIZES = ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
@@ -108,44 +102,7 @@ def test_pose_of_the_true_matrix_is_exact_and_of_others_off_by_what_they_are():
     assert translation_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=1e-4)
 
 
-def test_an_estimate_is_measured_whatever_the_verdict_says(tmp_path):
-    first, second = cameras()
-    F = fundamental_from_cameras(first, second)
-    x1, x2 = seen((first, second))
-    pair = Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=first, camera2=second, difficulty="")
-    truth = Truth(labels="3D", points="cameras", x1=x1, x2=x2, F=F)
-    none = np.zeros(len(x1), np.bool_)
-    turned_down = FundamentalEstimate(
-        status=Status.DEGENERATE, F=None, raw_F=F, x1=x1, x2=x2, inliers=none, support=0, estimator="usac"
-    )
-    measures = MeasureParams(seed=1, distance_points=50)
-    row = measured(turned_down, pair, truth, measures, threshold_px=1.5)
-    assert row["error_px"] < 1e-6
-    assert row["distance"] < 1e-6
-    assert max(row["rotation_deg"], row["translation_deg"]) < 1e-3
-    row = measured(replace(turned_down, raw_F=None), pair, truth, measures, threshold_px=1.5)
-    assert np.isnan(list(row.values())).all()
-
-
 def test_pose_without_baseline_has_no_translation():
     pair = cameras(t=(0.0, 0.0, 0.0))
     F = normalise_fundamental(np.array([[0, -1, 0.1], [1, 0, 0.2], [0.3, 0.1, 0]]))
     assert np.isnan(pose_errors(F, pair, *seen(cameras()))[1])
-
-
-def test_control_points_on_a_plane_decide_nothing():
-    rng = np.random.default_rng(0)
-    x1 = rng.uniform(0, 500, (40, 2))
-    x2 = x1 @ np.array([[0.9, 0.1], [-0.1, 1.1]]) + [20, -10] + rng.normal(0, 0.5, (40, 2))
-    assert on_one_plane(x1, x2, 4.0)
-    assert on_one_plane(x1[:4], x2[:4], 4.0)
-    beside = x2.copy()
-    beside[:2] += 40
-    assert on_one_plane(x1, beside, 4.0)
-    beside[:5, 0] += 60 * np.arange(1, 6)
-    assert not on_one_plane(x1, beside, 4.0)
-
-
-def test_splits_follow_the_share_of_right_matches():
-    found = [split_of(share, easy=0.5, hard=0.2) for share in (0.51, 0.5, 0.2, 0.19, np.nan)]
-    assert found == ["easy", "medium", "medium", "hard", "unlabelled"]

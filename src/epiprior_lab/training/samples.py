@@ -1,0 +1,115 @@
+"""Rows that classifiers are trained on and compared by: a random sample of every pair's."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """Rows of one pair under one roll hypothesis, drawn at random from `size` rows.
+
+    Parameters
+    ----------
+    scene, pair : str
+        Names; `pair` names the roll hypothesis as well.
+    rows, labels : ndarray, shape (M, C), float32, and (M,), bool
+        Descriptors, and which are right.
+    size : int
+        Rows before sampling.
+    """
+
+    scene: str
+    pair: str
+    rows: Float32Array
+    labels: BoolArray
+    size: int
+
+    @classmethod
+    def draw(cls, *, scene: str, pair: str, rows: Float32Array, labels: BoolArray, most: int, seed: int) -> Sample:
+        """Keep `most` rows at most, in their order."""
+        size = len(rows)
+        kept = np.arange(size)
+        if size > most:
+            kept = np.sort(np.random.default_rng(seed).choice(size, most, replace=False))
+        return cls(scene=scene, pair=pair, rows=rows[kept], labels=labels[kept], size=size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetRows:
+    """Rows of all pairs for one target, those of a pair one after the other.
+
+    Parameters
+    ----------
+    target : str
+        ``two_keypoint`` or ``match``.
+    columns : tuple of str
+        Names of the C columns.
+    rows, labels : ndarray, shape (N, C), float32, and (N,), bool
+        Descriptors, and which are right.
+    scenes, pairs : ndarray, shape (P,), str
+        Scene and name of each pair (under one roll hypothesis), within which rows are ranked.
+    lengths, share : ndarray, shape (P,), int64 and float64
+        Number of rows of each pair, and which share of its rows that is.
+    """
+
+    target: str
+    columns: tuple[str, ...]
+    rows: Float32Array
+    labels: BoolArray
+    scenes: NDArray[np.str_]
+    pairs: NDArray[np.str_]
+    lengths: IntArray
+    share: FloatArray
+
+    @classmethod
+    def stack(cls, target: str, columns: tuple[str, ...], samples: Sequence[Sample]) -> TargetRows:
+        """Put samples of different pairs together."""
+        return cls(
+            target=target,
+            columns=columns,
+            rows=np.concatenate([sample.rows for sample in samples]),
+            labels=np.concatenate([sample.labels for sample in samples]),
+            scenes=np.array([sample.scene for sample in samples]),
+            pairs=np.array([sample.pair for sample in samples]),
+            lengths=np.array([len(sample.rows) for sample in samples]),
+            share=np.array([len(sample.rows) / max(1, sample.size) for sample in samples]),
+        )
+
+    @property
+    def slices(self) -> list[slice]:
+        """Rows of each pair."""
+        ends = np.cumsum(self.lengths)
+        return [slice(start, end) for start, end in zip(ends - self.lengths, ends, strict=True)]
+
+    @property
+    def scene(self) -> NDArray[np.str_]:
+        """Scene of each row, shape (N,)."""
+        return np.repeat(self.scenes, self.lengths)
+
+    def digest(self) -> str:
+        """Return the sha256 of names, rows, labels, scenes and pairs."""
+        digest = hashlib.sha256("\0".join((self.target, *self.columns)).encode())
+        for array in (self.rows, self.labels, self.scene, np.repeat(self.pairs, self.lengths)):
+            digest.update(f"{array.dtype.str}{array.shape}".encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def save(self, file: Path) -> None:
+        """Write an ``.npz`` file; the same rows give the same bytes."""
+        np.savez(file, **vars(self))
+
+    @classmethod
+    def load(cls, file: Path) -> TargetRows:
+        """Read what `save` wrote."""
+        with np.load(file, allow_pickle=False) as stored:
+            arrays = dict(stored)
+        return cls(**{**arrays, "target": str(arrays["target"]), "columns": tuple(arrays["columns"].tolist())})

@@ -1,0 +1,53 @@
+"""A pair set of a relief whose true epipolar lines are the rows, a pair without texture, and a model made by hand."""
+
+import numpy as np
+import pytest
+
+import epiprior.rank
+from epiprior.ranking.models import load_model
+from epiprior_lab.pairsets import read_pair_set
+from pictures import relief_pair, save
+from tiny_model import make_model
+
+
+@pytest.fixture(scope="session")
+def relief(tmp_path_factory):
+    """The folder of the set, and beside it the matches of a peer, `twin`, which are right."""
+    root = tmp_path_factory.mktemp("sets") / "relief"
+    (root / "images").mkdir(parents=True)
+    (root / "control_points").mkdir()
+    left, right = relief_pair()
+    grey = np.full_like(left, 128)
+    lines = ["pair_id,image1,image2,gt,scene,difficulty"]
+    y, x = np.mgrid[10:350:9j, 10:400:9j]
+    disparity = 25 + 12 * np.sin(x / 45) * np.cos(y / 40) + 8 * np.sin(y / 23)
+    points = np.column_stack([(x + disparity).ravel(), y.ravel(), x.ravel(), y.ravel()])
+    peer = root.parent / "peers" / "relief" / "twin"
+    peer.mkdir(parents=True)
+    ones = dict.fromkeys(("scale1", "scale2", "orientation1_deg", "orientation2_deg"), np.ones(len(points)))
+    indices = dict.fromkeys(("feature1", "feature2"), np.arange(len(points)))
+    for name, images in (("relief-0", (left, right)), ("blank-0", (grey, grey))):
+        save(root / "images" / f"{name}-1.png", images[0])
+        save(root / "images" / f"{name}-2.png", images[1])
+        lines.append(f"{name},images/{name}-1.png,images/{name}-2.png,control_points,{name[:-2]},")
+        header = "x1,y1,x2,y2"
+        np.savetxt(root / "control_points" / f"{name}.csv", points, delimiter=",", header=header, comments="")
+        np.savez(peer / f"{name}.npz", x1=points[:, :2], x2=points[:, 2:], **ones, **indices)
+    (root / "pairs.csv").write_text("\n".join(lines) + "\n")
+    return root
+
+
+@pytest.fixture(scope="session")
+def pairs(relief):
+    return read_pair_set(relief).pairs
+
+
+@pytest.fixture(scope="session")
+def model_folder(tmp_path_factory):
+    return make_model(tmp_path_factory.mktemp("models") / "default")
+
+
+@pytest.fixture
+def tiny_model(model_folder, monkeypatch):
+    model = load_model(model_folder)
+    monkeypatch.setattr(epiprior.rank, "load_model", lambda name: model)

@@ -1,0 +1,193 @@
+"""Evaluation of pairs: runs of every estimator, input and seed, every measure that the truth allows, resuming."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from epiprior.estimators.handover import HandOver, load_hand_overs
+from epiprior.estimators.run import best_fundamental, estimate_from_matches
+from epiprior.features.detect import FeatureSettings
+from epiprior.geometry import sampson_distance
+from epiprior.matching.baselines import snn_matches
+from epiprior.types import FundamentalEstimate, Status
+from epiprior_lab.compute.seeds import child_seed
+from epiprior_lab.compute.tasks import single_threaded
+from epiprior_lab.evaluation import inputs, runs
+from epiprior_lab.evaluation.evaluate import evaluate
+from epiprior_lab.evaluation.protocol import Protocol, make_protocol, pairs_of
+from epiprior_lab.evaluation.records import RECORDS
+from epiprior_lab.evaluation.runs import MeasureSettings
+from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
+from epiprior_lab.pairsets import Camera, Pair, fundamental_from_cameras
+from epiprior_lab.params import EvaluateParams, load_params
+from synthetic import HEIGHT, WIDTH, K, rotation
+
+INPUTS = {"usac": ("standard", "snn", "default"), "magsac++": ("generalized", "default", "twin")}
+SEEDS = (0, 1)
+
+
+@pytest.fixture
+def protocol(relief, tiny_model):
+    chosen = load_hand_overs(None)
+    hand_overs = {e: {n: chosen[e].get(n, HandOver()) for n in names} for e, names in INPUTS.items()}
+    return Protocol(inputs=INPUTS, seeds=SEEDS, hand_overs=hand_overs, peers=relief.parent / "peers")
+
+
+def test_runs_of_a_pair(pairs, protocol, tmp_path):
+    tables = evaluate(pairs, protocol, group="relief", store=tmp_path / "store")
+    table = tables.runs
+    number = sum(len(names) for names in INPUTS.values()) * len(SEEDS)
+    assert (table["group"] == "relief").all()
+    assert table.groupby("pair_id").size().to_dict() == {"relief-0": number, "blank-0": number}
+    assert not table.duplicated(["pair_id", "estimator", "input", "seed"]).any()
+    assert {e: tuple(dict.fromkeys(part["input"])) for e, part in table.groupby("estimator")} == INPUTS
+    assert tables.pairs["pair_id"].tolist() == ["relief-0", "blank-0"]
+
+    blank = table[(table["pair_id"] == "blank-0") & (table["input"] != "twin")]
+    assert set(blank["status"]) == {"too_few_matches"}
+    assert blank["error_px"].isna().all()
+    assert (blank["support"] == 0).all()
+
+    relief = table[table["pair_id"] == "relief-0"]
+    assert set(relief["status"]) == {"ok"}
+    assert (relief["error_px"] < 1).all()
+    assert (relief["distance"] < 0.02).all()
+    assert relief["rotation_deg"].isna().all()  # no cameras
+    row = relief[(relief["estimator"] == "usac") & (relief["input"] == "snn") & (relief["seed"] == 1)].iloc[0]
+    pair, how = pairs[0], protocol.hand_overs["usac"]["snn"]
+    with single_threaded():  # as tasks run: sums of several threads are taken in another order
+        sets = (snn_matches(pair.image1, pair.image2),)
+        estimate = estimate_from_matches(sets, estimator="usac", seed=child_seed(1, "relief-0"), hand_over=how)
+    distances = sampson_distance(estimate.F, *pair.control_points())
+    assert row["error_px"] == pytest.approx(distances.mean(), rel=1e-12)
+    assert row["median_error_px"] == pytest.approx(np.median(distances), rel=1e-12)
+    assert (row["support"], row["spread"], row["matches"]) == (estimate.support, estimate.spread, len(estimate.x1))
+    assert row["plausibility"] == estimate.plausibility > 0.5
+
+    tables.write(tmp_path / "out")
+    evaluate(pairs, protocol, group="relief", store=tmp_path / "store").write(tmp_path / "again")
+    for name in RECORDS:
+        assert (tmp_path / "again" / f"{name}.csv").read_bytes() == (tmp_path / "out" / f"{name}.csv").read_bytes()
+
+
+def test_only_what_changed_is_computed_again(pairs, protocol, tmp_path, monkeypatch):
+    evaluate(pairs[:1], protocol, group="relief", store=tmp_path)
+    calls = []
+
+    def counted(sets, *, estimator, hand_over, **other):
+        calls.append((estimator, hand_over.threshold_px))
+        return estimate_from_matches(sets, estimator=estimator, hand_over=hand_over, **other)
+
+    monkeypatch.setattr(runs, "estimate_from_matches", counted)
+    monkeypatch.setattr(inputs, "detect_pair", None)  # nothing is matched again
+    hand_overs = {**protocol.hand_overs, "usac": {**protocol.hand_overs["usac"], "snn": HandOver(threshold_px=2.5)}}
+    evaluate(pairs[:1], replace(protocol, hand_overs=hand_overs), group="relief", store=tmp_path)
+    assert {estimator for estimator, _ in calls} == {"usac"}
+    assert len(calls) == 3 * len(SEEDS)
+    calls.clear()
+    unused = {**hand_overs, "magsac++": {**hand_overs["magsac++"], "snn": HandOver(threshold_px=2.5)}}
+    evaluate(pairs[:1], replace(protocol, hand_overs=unused), group="relief", store=tmp_path)
+    assert not calls
+
+
+def test_a_deterministic_estimator_runs_once(pairs, monkeypatch):
+    class Fixed:
+        deterministic = True
+
+    assert not runs.is_deterministic("usac")
+    asked = []
+
+    def run(sets, *, estimator, seed, **_):
+        asked.append(seed)
+        return len(asked)
+
+    matches = inputs.PairMatches(sets={"standard": (), "snn": ()}, pixel_factors=(1.0, 1.0))
+    how = {"estimator": "usac", "seeds": SEEDS, "hand_overs": dict.fromkeys(matches.sets, HandOver())}
+    assert list(runs.each_run(run, matches, "p", **how)) == [
+        ("standard", 0, 1), ("standard", 1, 2), ("snn", 0, 3), ("snn", 1, 4),
+    ]  # fmt: skip
+    assert asked == [child_seed(0, "p"), child_seed(1, "p")] * 2  # the same for every input
+    asked.clear()
+    monkeypatch.setattr(runs, "find_estimator", lambda name: Fixed())
+    assert [found for *_, found in runs.each_run(run, matches, "p", **how)] == [1, 1, 2, 2]
+    assert len(asked) == 2
+
+
+def test_f_without_its_verification_is_the_same(pairs, tiny_model):
+    matches = inputs.match_pair(pairs[0], ("standard", "default"))
+    for name, how in (("standard", HandOver(refine=True)), ("default", HandOver(collect=True, top_k=300))):
+        for estimator in ("usac", "epiprior"):
+            settings = {"estimator": estimator, "seed": 3, "hand_over": how, "pixel_factors": (2.0, 1.5)}
+            found = best_fundamental(matches.sets[name], **settings)
+            np.testing.assert_array_equal(found, estimate_from_matches(matches.sets[name], **settings).raw_F)
+
+
+def cameras():
+    first = Camera(K=K, R=np.eye(3), t=np.zeros(3), width=WIDTH, height=HEIGHT)
+    turned = rotation((0.1, 1, 0.2), 15.0)
+    return first, Camera(K=K, R=turned, t=np.array([-2.0, 0.3, 0.4]), width=WIDTH, height=HEIGHT)
+
+
+def test_an_estimate_is_measured_whatever_its_status(tmp_path):
+    first, second = cameras()
+    F = fundamental_from_cameras(first, second)
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-1, 1, (60, 2)), rng.uniform(5, 9, 60)])
+    x1, x2 = first.project(points)[0], second.project(points)[0]
+    pair = Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=first, camera2=second, difficulty="")
+    truth = Truth(labels="depth", points="cameras", x1=x1, x2=x2, F=F)
+    turned_down = FundamentalEstimate(
+        status=Status.DEGENERATE, F=None, raw_F=F, x1=x1, x2=x2, inliers=np.zeros(60, np.bool_), support=0,
+        estimator="usac",
+    )  # fmt: skip
+    key = {"group": "g", "estimator": "usac", "name": "snn", "seed": 0, "threshold_px": 1.5}
+    measures = MeasureSettings(seed=1, distance_points=50)
+    record = runs.run_record(turned_down, pair, truth, measures, **key)
+    assert (record.status, record.input) == ("degenerate", "snn")
+    assert record.error_px < 1e-6
+    assert record.distance < 1e-6
+    assert max(record.rotation_deg, record.translation_deg) < 1e-3
+    none = runs.run_record(replace(turned_down, raw_F=None), pair, truth, measures, **key)
+    measured = (none.error_px, none.median_error_px, none.distance, none.rotation_deg, none.translation_deg)
+    assert np.isnan(measured).all()
+    assert np.isnan(runs.error_px(replace(turned_down, raw_F=None), truth))
+    no_f = runs.run_record(turned_down, replace(pair, camera2=None), replace(truth, F=None), measures, **key)
+    assert no_f.error_px < 1e-6
+    assert np.isnan((no_f.distance, no_f.rotation_deg)).all()
+
+
+def test_thresholds_of_large_images_are_meant_at_working_size(pairs, tmp_path):
+    """An image of 1230 pixels is worked on at 1024; its F and errors are in its own pixels."""
+    paths = []
+    for k, path in enumerate((pairs[0].image1, pairs[0].image2)):
+        image = cv2.resize(cv2.imread(str(path)), None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
+        paths.append(tmp_path / f"{k}.png")
+        cv2.imwrite(str(paths[-1]), image)
+    assert max(image.shape) > FeatureSettings().max_image_size
+    matches = inputs.match_pair(replace(pairs[0], image1=paths[0], image2=paths[1]), ("snn",))
+    factor = max(image.shape) / FeatureSettings().max_image_size
+    assert matches.pixel_factors == pytest.approx((factor, factor))
+    how = {"estimator": "usac", "seeds": (0,), "hand_overs": {"snn": HandOver(threshold_px=1.0)}}
+    [(_, _, found)] = runs.estimates(matches, "p", **how)
+    truth = pair_truth(pairs[0], TruthSettings())
+    assert runs.error_px(found, replace(truth, x1=3 * truth.x1 + 1, x2=3 * truth.x2 + 1)) < 2
+    [(_, _, strict)] = runs.estimates(replace(matches, pixel_factors=(1.0, 1.0)), "p", **how)
+    assert strict.support < found.support  # a pixel of the large image is less than a working pixel
+
+
+def test_the_protocol_of_a_parameter_file(pairs, relief, monkeypatch):
+    params = load_params("benchmarks/real/params.yaml")
+    protocol = make_protocol(params)
+    assert protocol.inputs["usac"] == ("standard", "snn", "default", "adalam", "gms")
+    assert protocol.hand_overs["usac"]["snn"] == protocol.hand_overs["usac"]["gms"] == HandOver()  # whole
+    assert protocol.hand_overs["usac"]["default"] == load_hand_overs()["usac"]["default"] != HandOver()
+    assert protocol.all_inputs == ("standard", "snn", "default", "adalam", "gms", "generalized")
+    assert protocol.truth.one_plane == params.truth.one_plane
+    assert protocol.measures.distance_points == params.measures.distance_points
+    own = EvaluateParams(
+        groups=("relief",), pairs=f"{relief.parent}/{{group}}", control_points=None, out="out", seeds=(0,),
+        estimators=("usac",), inputs=("standard",), other_inputs={}, whole=None, peers=None, apart=None,
+    )  # fmt: skip
+    assert [pair.pair_id for pair in pairs_of(own, "relief")] == [pair.pair_id for pair in pairs]

@@ -1,0 +1,93 @@
+"""Pair sets of one's own, and links to those of the benchmark."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from epiprior.errors import SettingsError
+from epiprior_lab.evaluation import folder as own
+from epiprior_lab.evaluation.records import RECORDS, Tables
+from epiprior_lab.evaluation.sets import link_sets
+from synthetic_tables import study_tables
+
+
+@pytest.fixture
+def datasets(relief):
+    return relief.parent
+
+
+def test_find_sets_names_what_is_missing(datasets, tmp_path):
+    assert own.find_sets(datasets) == [datasets / "relief"]
+    assert own.find_sets(datasets / "relief") == [datasets / "relief"]
+    with pytest.raises(SettingsError, match="'strecha'"):
+        own.find_sets(datasets, ["relief", "strecha"])
+    with pytest.raises(SettingsError, match=r"pairs\.csv"):
+        own.find_sets(tmp_path / "nowhere")
+
+
+def test_a_folder_is_evaluated(datasets, model_folder, tiny_model, tmp_path, monkeypatch):
+    monkeypatch.setattr(own, "find_model", lambda name: model_folder)
+    monkeypatch.setenv("EPIPRIOR_WORKERS", "1")
+    console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
+    tables = own.evaluate_folder(
+        datasets, seeds=2, estimators=("usac",), out=tmp_path / "out", store=tmp_path / "store", console=console
+    )
+    console.file.close()
+    text = console.export_text()
+    assert "relief, 2 pairs" in text
+    assert "all sets" not in text
+    assert {path.stem for path in (tmp_path / "out").glob("*.csv")} == set(RECORDS)
+    runs = Tables.read([tmp_path / "out"]).runs
+    assert len(runs) == len(tables.runs) == 2 * 3 * 2
+    relief = runs[runs["pair_id"] == "relief-0"]
+    assert (relief["status"] == "ok").all()
+    assert (relief["error_px"] < 3).all()
+    for bad, message in (({"seeds": 0}, "seeds is 0"), ({"estimators": ("usak",)}, "'usak'")):
+        with pytest.raises(SettingsError, match=message):
+            own.evaluate_folder(datasets, **bad)
+
+
+def test_the_summary_counts_failures():
+    tables = study_tables(pairs=4)
+    found = own.summarise(tables).set_index(["estimator", "input"]).loc[("usac", "default")]
+    runs = tables.runs.query("estimator == 'usac' and input == 'default'")
+    assert found["pairs"] == 8
+    assert found["successes_10"] == pytest.approx((runs["error_px"] < 10).sum() / 3)
+    assert found["successes_3"] == pytest.approx((runs["error_px"] < 3).sum() / 3)
+    by_scene = (runs["error_px"] < 10).groupby([runs["group"], runs["scene"]]).mean()
+    assert found["scene_share"] == pytest.approx(by_scene.mean())
+    final = tables.rankings.query("input == 'default' and ranking == 'final'")
+    assert found["precision_100"] == pytest.approx(final["right_100"].mean() / 100)
+    unlabelled = replace(tables, rankings=tables.rankings[:0])
+    assert np.isnan(own.summarise(unlabelled)["precision_100"]).all()
+    assert isinstance(own.summarise(tables), pd.DataFrame)
+
+
+def test_links_to_sets(datasets, tmp_path):
+    folder = tmp_path / "data" / "real"
+    with pytest.raises(SettingsError, match="make real DATA=FOLDER"):
+        link_sets(("relief",), None, folder)
+    assert link_sets(("relief",), datasets, folder) == [folder / "relief"]
+    assert (folder / "relief").is_symlink()
+    assert not (folder / "relief").readlink().is_absolute()
+    assert link_sets(("relief",), datasets, folder) == link_sets(("relief",), None, folder)
+    own_set = folder / "mine"
+    own_set.mkdir()
+    (own_set / "pairs.csv").touch()
+    assert link_sets(("mine", "relief"), datasets, folder)[0] == own_set  # a set that lies there stays
+    with pytest.raises(SettingsError, match="no pair set absent in"):
+        link_sets(("relief", "absent"), datasets, folder)
+
+
+def test_links_name_a_folder_that_is_not_there(datasets, tmp_path):
+    folder = tmp_path / "real"
+    link_sets(("relief",), datasets, folder)  # a second run must not take these links in silence
+    with pytest.raises(SettingsError, match=r"datasetz: no such folder"):
+        link_sets(("relief",), tmp_path / "datasetz", folder)
+    with pytest.raises(SettingsError, match="holds no pair set of relief"):
+        link_sets(("relief",), tmp_path, folder)
+    assert link_sets(("relief",), folder, folder) == [folder / "relief"]  # no link to itself
+    assert (folder / "relief").resolve() == (datasets / "relief").resolve()

@@ -1,0 +1,95 @@
+"""The matches of a pair, made in every way, and the files that hold them."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import epiprior.matching.pair
+from epiprior.errors import SettingsError
+from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.presets import find_preset
+from epiprior.rank import rank_matches
+from epiprior_lab.compute.source_graph import source_files
+from epiprior_lab.compute.tasks import single_threaded
+from epiprior_lab.evaluation import inputs
+from epiprior_lab.features import detection
+from epiprior_lab.pairsets import DatasetError
+
+
+def test_unknown_input_is_named(pairs):
+    with pytest.raises(SettingsError, match="'lowe'"):
+        inputs.match_pair(pairs[0], ("lowe",))
+
+
+def test_shared_features_and_files_change_nothing(pairs, tiny_model, tmp_path):
+    [files] = inputs.store_matches(pairs[:1], ("standard", "default"), tmp_path / "matches")
+    got = files.only(("default",)).read()
+    with single_threaded():  # as tasks run: sums of several threads are taken in another order
+        wanted = rank_matches(pairs[0].image1, pairs[0].image2).sets
+    assert list(got.sets) == ["default"]
+    assert len(got.sets["default"]) == len(wanted)
+    for a, b in zip(got.sets["default"], wanted, strict=True):
+        np.testing.assert_array_equal(a.probability, b.probability)
+        np.testing.assert_array_equal(a.x2, b.x2)
+        np.testing.assert_array_equal(a.rough_matrices, b.rough_matrices)
+    assert got.pixel_factors == (1.0, 1.0)
+    assert min(got.features) > 300
+
+
+def test_matches_do_not_depend_on_estimators():
+    """So that a changed estimator leaves stored matches as they are."""
+    files = source_files(Path(inputs.__file__))
+    assert not [file for file in files if file.parent.name == "estimators"]
+
+
+def test_features_are_detected_once_for_all_inputs(pairs, tiny_model, monkeypatch):
+    detected = []
+
+    def counted(photograph, settings):
+        detected.append(photograph)
+        return detect_features(photograph, settings)
+
+    wanted = {name: inputs.match_pair(pairs[0], (name,)).sets[name] for name in ("snn", "generalized", "default")}
+    monkeypatch.setattr(detection, "detect_features", counted)
+    monkeypatch.setattr(epiprior.matching.pair, "detect_features", None)
+    got = inputs.match_pair(pairs[0], tuple(wanted)).sets
+    assert len(detected) == 2
+    for name, sets in wanted.items():
+        for a, b in zip(got[name], sets, strict=True):
+            for column in fields(a):
+                np.testing.assert_array_equal(getattr(a, column.name), getattr(b, column.name))
+
+
+def test_presets_detect_the_same_features():
+    """Descriptors are normalised differently, but detection, which `match_pair` shares, is one."""
+    settings = [find_preset(name).features for name in inputs.PRESETS]
+    assert {replace(s, root=True, centred=True) for s in settings} == {FeatureSettings()}
+
+
+def test_matches_of_a_peer_are_kept_beside_our_own(pairs, relief, tmp_path):
+    peers = relief.parent / "peers" / "relief"
+    files = inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path, peers=peers)[0]
+    (found,) = files.read().sets["twin"]
+    points = pairs[0].control_points()
+    np.testing.assert_allclose(found.x1, points[0])
+    assert np.isnan(found.probability).all()
+    assert found.image_sizes == files.read().sets["standard"][0].image_sizes
+    with pytest.raises(DatasetError, match="matches of twin"):
+        inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path)
+
+
+def test_damaged_matches_of_a_peer_are_named(relief, tmp_path):
+    good = dict(np.load(relief.parent / "peers" / "relief" / "twin" / "relief-0.npz"))
+    for change, message in (
+        ({"scale1": good["scale1"][:-1]}, "scale1 has shape"),
+        ({"x1": good["x1"] * np.nan}, "not finite"),
+        ({"x2": None}, "x2"),
+    ):
+        values = {name: value for name, value in (good | change).items() if value is not None}
+        np.savez(tmp_path / "q.npz", **values)
+        with pytest.raises(DatasetError, match=message):
+            inputs.read_peer_matches(tmp_path / "q.npz")
+    with pytest.raises(DatasetError, match="absent"):
+        inputs.read_peer_matches(tmp_path / "absent.npz")

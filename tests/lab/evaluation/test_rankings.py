@@ -1,0 +1,105 @@
+"""Rankings of a pair against its truth: one list, walked one-to-one, of the most probable roll hypothesis."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from epiprior.rank import rank_matches
+from epiprior.types import MatchSet
+from epiprior_lab.evaluation import inputs, rankings
+from epiprior_lab.evaluation.records import RANKINGS, CalibrationRecord, PairRecord, RankingRecord, Tables
+from epiprior_lab.evaluation.truth import TruthSettings
+
+
+def match_set(n, probability=None):
+    zeros, index = np.zeros(n), np.arange(n)
+    xy = np.zeros((n, 2))
+    return MatchSet(
+        x1=xy, x2=xy, scale1=zeros + 1, scale2=zeros + 1, orientation1_deg=zeros, orientation2_deg=zeros,
+        feature1=index, feature2=index[::-1].copy(),
+        probability=np.linspace(0.9, 0.1, n) if probability is None else np.asarray(probability, float),
+        supporting_matrices=np.zeros(n, np.int64), distance_ratio=zeros + 1, similarity_weight=zeros,
+        similarity=zeros, two_keypoint_probability=zeros,
+    )  # fmt: skip
+
+
+def test_ranking_orders():
+    matches = replace(
+        match_set(5),
+        distance_ratio=np.array([1, 0.7, 0.5, 1, 0.6]),
+        similarity_weight=np.array([0, 0.2, 0, 0.4, 0.2]),
+        two_keypoint_probability=np.array([0.1, 0, 0.9, 0.3, 0]),
+        supporting_matrices=np.array([7, 7, 0, 9, 1]),
+    )
+    orders = {name: list(index) for name, index in rankings.ranking_orders(matches).items()}
+    assert tuple(orders) == RANKINGS
+    assert orders == {
+        "lowe": [2, 4, 1],
+        "blogs": [3, 1, 4],
+        "2keypoint": [2, 3, 0],
+        "sfm": [3, 0, 1, 4],
+        "final": [0, 1, 2, 3, 4],
+    }
+
+
+def test_the_hypothesis_with_the_most_probable_hundred_is_ranked():
+    few, many = match_set(50, np.full(50, 0.9)), match_set(300, np.full(300, 0.5))
+    assert rankings.best_hypothesis((few, many)) is many
+    assert rankings.best_hypothesis((many, few)) is many
+    # A match whose feature was used does not count: here all but one.
+    crowded = replace(match_set(300, np.full(300, 0.99)), feature1=np.zeros(300, np.int64))
+    assert rankings.best_hypothesis((crowded, many)) is many
+    unranked = match_set(4, np.full(4, np.nan))
+    assert rankings.best_hypothesis((unranked,)) is unranked
+
+
+def test_a_ranking_is_walked_one_to_one():
+    matches = replace(match_set(5), feature1=np.array([3, 3, 1, 2, 0]), feature2=np.array([0, 1, 1, 0, 4]))
+    assert rankings.walked(matches, np.array([0, 1, 2, 3, 4])).tolist() == [0, 2, 4]
+    assert rankings.walked(matches, np.array([4, 3, 2, 1, 0])).tolist() == [4, 3, 2]
+
+
+def test_records_of_a_pair(pairs, tiny_model, tmp_path):
+    names = ("standard", "snn", "generalized", "default")
+    [files] = inputs.store_matches(pairs[:1], names, tmp_path)
+    found = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=TruthSettings())
+    assert [type(record) for record in found[:2]] == [PairRecord, RankingRecord]
+    tables = Tables.from_records(found)
+    (about,) = tables.pairs.to_dict("records")
+    assert (about["group"], about["pair_id"], about["scene"]) == ("g", "relief-0", "relief")
+    assert (about["labels"], about["points"], about["difficulty"]) == ("control_points", "control_points", "easy")
+    assert (about["features1"], about["features2"]) == files.features
+    assert np.isnan(about["true_roll_deg"])  # no cameras
+    assert abs((about["expected_roll_deg"] + 180) % 360 - 180) < 5
+
+    def right(matches):  # the true lines are the rows
+        return np.abs(matches.x1[:, 1] - matches.x2[:, 1]) < np.sqrt(2) * TruthSettings().labels.epipolar_px
+
+    standard = files.read().sets["standard"][0]
+    assert about["right_share"] == pytest.approx(right(standard).mean(), abs=0.01)
+    table = tables.rankings.set_index(["input", "ranking"])
+    assert [name for name, _ in table.index] == ["standard", "snn", "generalized", *["default"] * 5]
+    assert [ranking for _, ranking in table.index] == ["final"] * 3 + list(RANKINGS)
+    ranked = rankings.best_hypothesis(rank_matches(pairs[0].image1, pairs[0].image2).sets)
+    final, single = table.loc[("default", "final")], ranked.one_to_one()
+    assert final["matches"] == len(single)
+    assert final["right"] == final["right_10000"]
+    assert final["right_100"] == pytest.approx(right(single)[:100].sum(), abs=2)
+    assert table.loc[("snn", "final"), "right_10"] == 10
+
+    bins = tables.calibration
+    assert isinstance(found[-1], CalibrationRecord)
+    assert (bins["input"] == "default").all()
+    assert bins["bin"].tolist() == list(range(20))
+    assert bins["count"].sum() == len(ranked)
+    assert bins["probability"].sum() == pytest.approx(ranked.probability.sum())
+
+
+def test_a_pair_without_labels_has_no_rankings(pairs, tmp_path):
+    [files] = inputs.store_matches(pairs[:1], ("standard",), tmp_path)
+    settings = TruthSettings(one_plane=("relief-0",))
+    (about,) = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=settings)
+    assert (about.labels, about.difficulty) == ("", "")
+    assert np.isnan(about.right_share)
+    assert np.isnan(about.expected_roll_deg)  # nothing is ranked

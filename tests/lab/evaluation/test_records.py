@@ -1,0 +1,79 @@
+"""Typed rows and the tables that are made of them."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from epiprior_lab.evaluation.records import (
+    RANKS,
+    RECORDS,
+    CalibrationRecord,
+    PairRecord,
+    TableError,
+    Tables,
+    TimingRecord,
+    column_types,
+    read_frame,
+    to_frame,
+    write_frame,
+)
+from synthetic_tables import photograph_tables, study_tables, timing_table
+
+
+def test_tables_are_read_as_they_were_written(tmp_path):
+    for name, tables in (("study", study_tables(pairs=2)), ("photographs", photograph_tables())):
+        tables.write(tmp_path / name)
+        assert {path.stem for path in (tmp_path / name).iterdir()} == set(RECORDS)
+        again = Tables.read([tmp_path / name])
+        for kind in RECORDS:
+            pd.testing.assert_frame_equal(getattr(again, kind), getattr(tables, kind), rtol=1e-6)
+    both = Tables.read([tmp_path / "study", tmp_path / "photographs"])
+    assert len(both.runs) == len(study_tables(pairs=2).runs) + len(photograph_tables().runs)
+
+
+def test_names_stay_text_and_what_is_not_known_is_empty(tmp_path):
+    photograph_tables().write(tmp_path)
+    lines = (tmp_path / "pairs.csv").read_text().splitlines()
+    assert lines[0].startswith("group,pair_id,scene,features1,features2,labels,points,right_share,difficulty")
+    unlabelled = next(line for line in lines if line.startswith("strecha,0005"))
+    assert unlabelled.split(",")[5:9] == ["", "control_points", "", ""]
+    pairs = Tables.read([tmp_path]).pairs
+    assert pairs["pair_id"].iloc[0] == "0000"
+    assert pairs.loc[pairs["labels"] == "", "right_share"].isna().all()
+    runs = Tables.read([tmp_path]).runs
+    assert runs["iterations"].dtype == "Int64"
+
+
+def test_ranks_hold_what_is_reported():
+    assert {1, 10, 100, 500, 1000, 10_000} <= set(RANKS)
+    assert list(RANKS) == sorted(set(RANKS))
+    columns = column_types(RECORDS["rankings"])
+    assert [name for name in columns if name.startswith("right_")] == [f"right_{rank}" for rank in RANKS]
+
+
+def test_a_table_without_rows_keeps_its_columns(tmp_path):
+    write_frame(to_frame(CalibrationRecord, []), tmp_path / "calibration.csv")
+    assert len(read_frame(CalibrationRecord, tmp_path / "calibration.csv")) == 0
+    timings = timing_table(study_tables(pairs=2))
+    write_frame(timings, tmp_path / "timings.csv")
+    again = read_frame(TimingRecord, tmp_path / "timings.csv")
+    pd.testing.assert_frame_equal(again, timings, rtol=1e-6)
+    assert again["preprocessed"].dtype == bool
+
+
+def test_a_damaged_table_is_named(tmp_path):
+    path = tmp_path / "pairs.csv"
+    with pytest.raises(TableError, match=r"pairs\.csv: cannot be read"):
+        read_frame(PairRecord, path)
+    table = study_tables(pairs=1).pairs
+    write_frame(table.drop(columns="difficulty"), path)
+    with pytest.raises(TableError, match=r"pairs\.csv: no column 'difficulty'"):
+        read_frame(PairRecord, path)
+    write_frame(table.assign(features1="many"), path)
+    with pytest.raises(TableError, match=r"pairs\.csv: cannot be read"):
+        read_frame(PairRecord, path)
+
+
+def test_numbers_have_seven_digits(tmp_path):
+    write_frame(pd.DataFrame({"a": [np.pi, np.nan], "b": ["x", "y"]}), tmp_path / "t.csv")
+    assert (tmp_path / "t.csv").read_bytes() == b"a,b\n3.141593,x\n,y\n"

@@ -1,0 +1,50 @@
+"""Wall times of the whole pipeline and of the cascade."""
+
+import numpy as np
+import pytest
+
+from epiprior.estimators.handover import HandOver
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.evaluation import timing
+from epiprior_lab.evaluation.protocol import Protocol
+from epiprior_lab.evaluation.records import CASCADE, TimingRecord, to_frame
+
+INPUTS = {"usac": ("standard", "snn", "default", "twin"), "epiprior": ("generalized", "default")}
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_times_of_every_input_and_of_the_cascade(pairs, tiny_model, monkeypatch, kept):
+    clock = iter(np.arange(0.0, 1000.0))
+    monkeypatch.setattr(timing.time, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(CascadeRule, "keeps", lambda self, estimate: kept)
+    hand_overs = {e: dict.fromkeys(names, HandOver(one_to_one=True)) for e, names in INPUTS.items()}
+    protocol = Protocol(inputs=INPUTS, seeds=(0, 1, 2), hand_overs=hand_overs)
+    records = timing.time_pair(pairs[0], protocol, CascadeRule(), group="g", seeds=(0, 1))
+    table = to_frame(TimingRecord, records).set_index(["estimator", "input", "seed"])
+    assert set(table.index) == {
+        (e, name, seed)
+        for e, names in INPUTS.items()
+        for name in (*names, CASCADE)
+        for seed in (0, 1)
+        if name != "twin"
+    }
+    parts = table[["seconds_features", "seconds_matching", "seconds_estimator"]]
+    np.testing.assert_allclose(parts.sum(axis=1), table["seconds_total"])
+    assert (parts > 0).all(axis=None)
+    assert (table["error_px"] < 3).all()
+    for estimator, baseline in (("usac", "standard"), ("epiprior", "generalized")):
+        first, second, both = (table.loc[(estimator, name, 0)] for name in (baseline, "default", CASCADE))
+        assert (first["preprocessed"], second["preprocessed"], both["preprocessed"]) == (False, True, not kept)
+        whole = first["seconds_total"] + second["seconds_total"]
+        if kept:
+            assert both["seconds_total"] == first["seconds_total"]
+            assert both["error_px"] == first["error_px"]
+        else:  # features are found once, unless the input without preprocessing has candidates of its own
+            shared = second["seconds_features"] if baseline == "standard" else 0.0
+            assert both["seconds_total"] == pytest.approx(whole - shared)
+            assert both["error_px"] == second["error_px"]
+
+
+def test_pairs_are_taken_evenly():
+    assert timing.spread_pairs(list(range(10)), 3) == [0, 3, 6]
+    assert timing.spread_pairs([1, 2], 3) == [1, 2]

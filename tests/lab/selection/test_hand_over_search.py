@@ -1,0 +1,201 @@
+"""The search of hand-overs: what is varied, what is tried, when a setting is left."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from epiprior.estimators.handover import HandOver, default_hand_over
+from epiprior_lab.compute.seeds import child_seed
+from epiprior_lab.evaluation import inputs
+from epiprior_lab.params import HandOverParams, WeightedParams
+from epiprior_lab.selection import hand_over_search
+from epiprior_lab.selection.hand_over_search import Trial, choose
+
+PARAMS = HandOverParams(
+    seeds=(0, 1),
+    max_distance_ratio=(0.7, 0.8, 0.9),
+    top_k=(100, 300, 500, None),
+    weighted=WeightedParams(estimators=("epiprior",), top_k=(300, 2000)),
+    threshold_px=(1.0, 1.5, 2.0),
+    one_to_one=(True, False),
+    refine=(True, False),
+    collect=(True, False),
+)
+SEARCHED = {"usac": ("standard", "default"), "prosac": ("standard", "default"), "epiprior": ("generalized", "default")}
+
+
+class FakeFiles:
+    """Matches of one pair: of the length that their input is given."""
+
+    def __init__(self, paths=None):
+        self.paths = paths or {}
+        self.sets = {}
+
+    def only(self, names):
+        return self
+
+    def read(self):
+        return inputs.PairMatches(sets=dict.fromkeys(("standard", "snn", "generalized", "default"), ()),
+                                  pixel_factors=(1.0, 1.0))  # fmt: skip
+
+
+@pytest.fixture
+def search(monkeypatch):
+    """Search on two pairs whose errors are those of a function of the hand-over."""
+    pairs = [
+        SimpleNamespace(pair_id=f"pair-{k}", files=(), control_points=lambda: (np.zeros((1, 2)), np.zeros((1, 2))))
+        for k in range(2)
+    ]
+    calls = []
+
+    def run(error):
+        def best_fundamental(sets, *, estimator, hand_over, **_):
+            calls.append((estimator, hand_over))
+            return error(estimator, hand_over)
+
+        monkeypatch.setattr(hand_over_search, "best_fundamental", best_fundamental)
+        return hand_over_search.search_hand_overs(pairs, inputs=SEARCHED, params=PARAMS)
+
+    def map_tasks(function, tasks, **_):
+        return [function(**task.payload) for task in tasks]
+
+    monkeypatch.setattr(hand_over_search, "map_tasks", map_tasks)
+    monkeypatch.setattr(hand_over_search, "store_matches", lambda pairs, *_, **__: [FakeFiles() for _ in pairs])
+    monkeypatch.setattr(hand_over_search, "errors_px", lambda F, *points: np.array([F]))
+    monkeypatch.setattr(hand_over_search, "_effect", lambda matches, name, how: how)
+    return SimpleNamespace(run=run, calls=calls)
+
+
+def made_up_error(estimator, how):
+    """An error with one best hand-over per input; for prosac nothing matters, for epiprior nothing is found."""
+    if estimator == "prosac":
+        return 5.0
+    if estimator == "epiprior":
+        return None
+    penalty = 4 * abs(how.threshold_px - 1.0)
+    if how.max_distance_ratio is not None:
+        penalty += 80 * abs(how.max_distance_ratio - 0.7)
+    else:
+        penalty += abs((how.top_k or 1000) - 300) / 50 + how.refine
+    return 1.0 + penalty + how.one_to_one
+
+
+def test_search_finds_the_best_hand_over(search):
+    best, trials = search.run(made_up_error)
+    assert best["usac", "standard"].how == HandOver(max_distance_ratio=0.7, threshold_px=1.0)
+    assert best["usac", "default"].how == HandOver(top_k=300, threshold_px=1.0, collect=True)
+    assert best["usac", "default"].score[0] == 2 * 4  # two pairs, two seeds, both thresholds
+    # Where nothing matters, or nothing is found, the starting point stays.
+    for place in (("prosac", "default"), ("epiprior", "default"), ("epiprior", "generalized")):
+        assert best[place].how == default_hand_over(*place)
+    tried = [(t.estimator, t.input, t.how) for t in trials]
+    assert len(tried) == len(set(tried))
+    seeds = [1 if name == "epiprior" else 2 for name, _, _ in tried]  # that is deterministic
+    assert len(search.calls) == 2 * sum(seeds)  # nothing runs twice
+    table = hand_over_search.trial_table(best, trials)
+    assert table["chosen"].sum() == len(best) == 6
+    row = table[table["chosen"]].set_index(["estimator", "input"]).loc[("usac", "default")]
+    assert (row["step"], row["top_k"], row["pairs"], row["successes_10"]) == ("one_to_one", 300, 2, 2.0)
+    chosen = hand_over_search.chosen_hand_overs(best)
+    assert {e: tuple(found) for e, found in chosen.items()} == SEARCHED
+    assert chosen["usac"]["standard"] == best["usac", "standard"].how
+
+
+def test_every_input_is_searched_by_what_matters_for_it():
+    def varied(estimator, name):
+        return dict(hand_over_search.coordinates(estimator, name, PARAMS))
+
+    assert varied("epiprior", "default")["top_k"] == (300, 2000)
+    assert varied("usac", "default")["top_k"] == PARAMS.top_k
+    assert varied("generalized-ransac", "generalized")["top_k"] == (300, 2000)
+    for name in ("standard", "snn"):
+        assert {"max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"} == varied("usac", name).keys()
+    assert {"refine", "collect"}.isdisjoint(varied("usac", "paper"))  # as printed
+
+
+def trial(errors, top_k=None):
+    how = HandOver(top_k=top_k)
+    return Trial(estimator="usac", input="snn", step="top_k", how=how, errors_px=np.array(errors))
+
+
+def test_score_counts_both_thresholds_alike_then_the_area():
+    def one_pair(*errors):
+        return trial([errors])
+
+    assert one_pair(9.0, 9.0, 2.0).score > one_pair(1.0, np.nan, np.nan).score
+    assert one_pair(1.0, np.nan).score[0] == one_pair(9.0, 9.0).score[0] == 2
+    assert one_pair(9.0, 2.0).score > one_pair(4.0, 4.0).score
+    assert one_pair(9.0, 2.0).score > one_pair(9.5, 2.0).score
+    assert one_pair(10.0, np.nan).score == (0, 0.0)
+
+
+def test_a_hand_over_is_left_only_for_gains_above_their_standard_error():
+    def pairs(errors, top_k=None):
+        return trial(np.array(errors)[:, None], top_k)
+
+    known = pairs([50.0] * 8 + [0.5] * 8)
+    lucky = pairs([0.5, 0.5, *[50.0] * 6, 50.0, *[0.5] * 7], top_k=100)  # two pairs won, one lost
+    better = pairs([0.5, 0.5, 0.5, *[50.0] * 5, *[0.5] * 8], top_k=300)
+    best = pairs([*[0.5] * 6, 50.0, 50.0, 50.0, *[0.5] * 7], top_k=500)
+    gain = lucky.pair_scores - known.pair_scores
+    assert 0 < gain.mean() < gain.std(ddof=1) / 4
+    assert lucky.score > known.score
+    assert not lucky.gains_on(known)
+    assert not known.gains_on(known)
+    assert choose(known, [lucky]) is known
+    assert choose(known, [lucky, better]) is better
+    assert choose(known, [lucky, best, better]) is best
+    assert pairs([0.5]).gains_on(pairs([2.0]))
+
+
+def test_equal_matches_are_estimated_once(pairs, monkeypatch, tmp_path):
+    [files] = inputs.store_matches(pairs[:1], ("standard", "snn"), tmp_path)
+    how = HandOver(max_distance_ratio=0.9, threshold_px=1.0)
+    candidates = [
+        ("snn", how),
+        ("snn", replace(how, max_distance_ratio=None)),  # above the ratio of all its matches
+        ("snn", replace(how, top_k=10_000)),
+        ("snn", replace(how, top_k=50)),
+        ("snn", replace(how, threshold_px=2.0)),
+        ("standard", how),
+    ]
+    calls = []
+
+    def counted(sets, *, seed, **settings):
+        calls.append(seed)
+        return original(sets, seed=seed, **settings)
+
+    original = hand_over_search.best_fundamental
+    monkeypatch.setattr(hand_over_search, "best_fundamental", counted)
+    how_tried = {"pair": pairs[0], "matches": files, "estimator": "usac", "candidates": candidates, "seeds": (0, 1)}
+    got = hand_over_search.candidate_errors(**how_tried)
+    assert calls == [child_seed(seed, "relief-0") for seed in (0, 1)] * 4
+    assert (got < 1).all()
+    np.testing.assert_array_equal(got[:3], got[[0, 0, 0]])
+    # What an earlier step found for the same matches, threshold and refinement is not run again either.
+    calls.clear()
+    known = {"snn": (replace(how, top_k=9_999), (11.0, np.nan))}
+    again = hand_over_search.candidate_errors(**how_tried, known=known)
+    assert len(calls) == 3 * 2
+    np.testing.assert_array_equal(again[:3], [[11.0, np.nan]] * 3)
+    np.testing.assert_array_equal(again[3:], got[3:])
+
+
+def test_a_step_of_the_search_knows_the_best_of_the_one_before(search, monkeypatch):
+    told = []
+
+    def candidate_errors(*, pair, estimator, candidates, seeds, known, **_):
+        told.append((pair.pair_id, estimator, known))
+        return np.array([[len(told) + len(str(how))] * len(seeds) for _, how in candidates], float)
+
+    monkeypatch.setattr(hand_over_search, "candidate_errors", candidate_errors)
+    _, trials = search.run(None)
+    usac = [(pair, known) for pair, estimator, known in told if estimator == "usac"]
+    assert [known for _, known in usac[:2]] == [{}, {}]
+    for number, (_, known) in enumerate(usac[2:4]):
+        assert set(known) == {"standard", "default"}
+        for name, (how, errors) in known.items():
+            (found,) = [t for t in trials if (t.estimator, t.input, t.how) == ("usac", name, how)]
+            assert errors == tuple(found.errors_px[number])

@@ -1,0 +1,228 @@
+import csv
+import io
+import json
+import pickle
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from epiprior.errors import SettingsError
+from epiprior.presets import find_preset
+from epiprior_lab.params import ExportedFamilies, TrainParams
+from epiprior_lab.training import comparison
+from epiprior_lab.training.comparison import train
+from epiprior_lab.training.families import FAMILIES
+from epiprior_lab.training.metrics import METRICS
+from epiprior_lab.training.samples import Sample, TargetRows
+from epiprior_lab.training.tables import curves_csv, importances_csv, metrics_csv, seconds_csv, write_training
+from epiprior_lab.training.tracked_runs import tracked_runs
+from grouped_rows import COLUMNS, make_rows
+
+pytestmark = pytest.mark.slow
+ROWS = make_rows(3000)
+PARAMS = TrainParams(
+    seed=3,
+    folds=3,
+    families=tuple(FAMILIES),
+    exported=ExportedFamilies(paper="tree", default="lightgbm"),
+    max_rows_per_pair=100,
+    max_rows=600,
+    max_forest_rows=400,
+    max_svm_rows=400,
+)
+
+
+# --- samples
+
+
+def drawn():
+    samples = [
+        Sample.draw(
+            scene=str(scene), pair=str(pair), rows=ROWS.rows[rows], labels=ROWS.labels[rows], most=100, seed=number
+        )
+        for number, (scene, pair, rows) in enumerate(zip(ROWS.scenes, ROWS.pairs, ROWS.slices, strict=True))
+    ]
+    return TargetRows.stack("match", COLUMNS, samples)
+
+
+def test_a_sample_keeps_order_and_knows_its_share():
+    data = drawn()
+    assert len(data.pairs) == 24
+    for kept, every, share in zip(data.slices, ROWS.slices, data.share, strict=True):
+        here, rows = data.rows[kept], ROWS.rows[every]
+        assert len(here) == min(100, len(rows)) == round(share * len(rows))
+        positions = [np.flatnonzero((row == rows).all(axis=1))[0] for row in here]
+        assert positions == sorted(positions)
+    np.testing.assert_array_equal(data.scene, np.repeat(ROWS.scenes, data.lengths))
+
+
+def test_the_digest_tells_rows_apart_and_survives_the_file(tmp_path):
+    data = drawn()
+    data.save(tmp_path / "rows.npz")
+    assert TargetRows.load(tmp_path / "rows.npz").digest() == data.digest() == drawn().digest()
+    changed = drawn()
+    changed.labels[3] = ~changed.labels[3]
+    assert data.digest() != changed.digest()
+
+
+# --- both classifiers of two presets, on made-up rows
+
+
+@dataclass
+class FakeTwoKeypoints:
+    descriptors: np.ndarray
+
+    def select(self, columns):
+        return wide(self.descriptors, columns)
+
+
+def wide(rows, columns):
+    """Repeat columns until there are as many as names."""
+    return np.tile(rows, (1, len(columns)))[:, : len(columns)].astype(np.float32)
+
+
+@dataclass
+class FakeRows:
+    preset: str
+    pair: str
+    scene: str
+    two_keypoints: FakeTwoKeypoints
+    two_keypoint_labels: np.ndarray
+
+
+def train_in(root, votes):
+    """Train on files of pairs with made-up rows; `votes` gets the first classifier's by preset and pair."""
+    folders = {preset: root / preset for preset in ("paper", "default")}
+    for folder in folders.values():
+        folder.mkdir(parents=True)
+        for pair in ROWS.pairs.tolist():
+            (folder / f"{pair}.npz").write_bytes(pair.encode())
+
+    def read_rows(file):
+        rows = ROWS.slices[ROWS.pairs.tolist().index(file.stem)]
+        found = FakeTwoKeypoints(ROWS.rows[rows])
+        return FakeRows(file.parent.name, file.stem, file.stem[:-2], found, ROWS.labels[rows])
+
+    def match_rows(rows, probability):
+        votes[rows.preset, rows.pair] = probability
+        described = np.column_stack([probability, rows.two_keypoints.descriptors])
+        return wide(described, find_preset(rows.preset).match_columns), rows.two_keypoint_labels
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison, "read_rows", read_rows)
+        patch.setattr(comparison, "match_rows", match_rows)
+        return train(folders, PARAMS, workers=1, store=root / "store")
+
+
+@pytest.fixture(scope="module")
+def votes():
+    return {}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory, votes):
+    return train_in(tmp_path_factory.mktemp("training"), votes)
+
+
+def test_all_families_are_compared(trained):
+    assert list(trained) == ["paper", "default"]
+    for preset, exported in (("paper", "tree"), ("default", "lightgbm")):
+        for found, target in zip(trained[preset], ("two_keypoint", "match"), strict=True):
+            assert (found.preset, found.exported, found.data.target) == (preset, exported, target)
+            assert list(found.grouped) == list(FAMILIES)
+            assert all(item.probability.shape == found.data.labels.shape for item in found.grouped.values())
+            assert found.ungrouped.calibrated is None
+            assert found.platt.a > 0
+            assert len(found.refit.parity_rows) == len(found.refit.parity_probability) == 2000
+
+
+def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained, votes):
+    for preset, (first, _) in trained.items():
+        found = first.grouped[first.exported]
+        for pair, kept, every in zip(ROWS.pairs.tolist(), first.data.slices, ROWS.slices, strict=True):
+            number = found.fold[kept][0]
+            classifier = pickle.loads(found.classifiers[number])
+            rows = wide(ROWS.rows[every], first.data.columns)
+            np.testing.assert_array_equal(votes[preset, pair], first.platt(classifier.probability(rows)))
+            assert pair[:-2] not in set(first.data.scene[found.fold != number].tolist())
+
+
+def test_runs_to_track(trained):
+    runs = {run.tags["family"]: run for run in tracked_runs(trained["paper"][1], {"seed": 3})}
+    assert list(runs) == list(FAMILIES)
+    exported, other = runs["tree"], runs["svm"]
+    assert exported.tags == {"preset": "paper", "target": "match", "family": "tree", "exported": "true"}
+    assert exported.name == "paper-tree"
+    for name in METRICS:
+        for run in (exported, other):
+            assert {name, f"{name}.deviation", f"calibrated.{name}"} <= run.metrics.keys()
+        assert (f"ungrouped.{name}" in exported.metrics, f"ungrouped.{name}" in other.metrics) == (True, False)
+    assert all(re.fullmatch(r"[\w./-]+", name) for name in exported.metrics)
+    assert exported.parameters["seed"] == 3
+    assert exported.parameters["rows"] == len(trained["paper"][1].data.rows)
+    assert [set(fold) >= set(METRICS) - {"precision"} for fold in exported.folds] == [True] * 3
+    assert sorted(exported.figures) == ["importances.png", "precision_recall.png", "reliability.png"]
+    assert sorted(other.figures) == ["precision_recall.png", "reliability.png"]
+    assert (exported.onnx, other.onnx) == (trained["paper"][1].refit.onnx, None)
+    assert exported.rows.shape == (5, 3)
+
+
+def table(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_metrics_table(trained):
+    found = trained["paper"][1]
+    rows = table(metrics_csv([found]))
+    value = {(r["family"], r["grouped"], r["fold"], r["metric"]): float(r["value"]) for r in rows}
+    assert len(value) == len(rows)
+    grouped = found.grouped["tree"]
+    assert value["tree", "true", "all", "precision_top_100"] == grouped.metrics["precision_top_100"]
+    assert value["tree", "true", "2", "log_loss"] == grouped.fold_metrics[2]["log_loss"]
+    assert value["tree", "true", "deviation", "log_loss"] == grouped.deviations()["log_loss"]
+    assert value["tree", "true", "calibrated", "log_loss"] == grouped.calibrated_metrics["log_loss"]
+    assert value["tree", "false", "all", "log_loss"] == found.ungrouped.metrics["log_loss"]
+    assert ("tree", "false", "0", "precision_top_100") not in value
+    assert not any("second" in metric for *_, metric in value)
+    assert {r["fold"] for r in table(seconds_csv([found]))} == {"0", "1", "2"}
+
+
+def test_curves_end_with_all_rows(trained):
+    found = trained["paper"][1]
+    rows = [r for r in table(curves_csv([found])) if (r["family"], r["grouped"]) == ("tree", "true")]
+    curve = [r for r in rows if r["curve"] == "precision_recall"]
+    assert float(curve[-1]["x"]) == 1
+    assert int(curve[-1]["count"]) == len(found.data.labels)
+    assert float(curve[-1]["y"]) == pytest.approx(found.data.labels.mean(), abs=1e-5)
+    assert float(curve[0]["y"]) > float(curve[-1]["y"])
+    counts = [int(r["count"]) for r in rows if r["curve"] == "reliability_calibrated"]
+    assert sum(counts) == len(found.data.labels)
+
+
+def test_importances_are_those_of_the_exported_family(trained):
+    rows = table(importances_csv(trained["default"]))
+    assert [r["column"] for r in rows if r["target"] == "match"] == list(find_preset("default").match_columns)
+    assert {r["family"] for r in rows} == {"lightgbm"}
+
+
+def test_what_training_writes(trained, tmp_path):
+    again = train_in(tmp_path / "again", {})
+    for place, found in (("a", trained), ("b", again)):
+        write_training(tmp_path / place, found["paper"])
+    names = sorted(path.name for path in (tmp_path / "a").iterdir())
+    tables = ["curves.csv", "importances.csv", "match.onnx", "metrics.csv", "parity.npz", "summary.json"]
+    assert names == [*tables, "two_keypoint.onnx"]
+    assert all((tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes() for name in names)
+    summary = json.loads((tmp_path / "a" / "summary.json").read_text())
+    assert summary["match"]["family"] == "tree"
+    assert summary["match"]["columns"] == list(find_preset("paper").match_columns)
+    assert summary["training_data"]["scenes"] == 12
+    assert summary["training_data"]["match_rows"] == len(trained["paper"][1].data.rows)
+    assert set(summary["match"]["metrics"]["log_loss"]) == {"mean", "deviation", "calibrated", "ungrouped"}
+
+
+def test_a_folder_without_rows_is_named(tmp_path):
+    with pytest.raises(SettingsError, match="run the stage features first"):
+        train({"paper": tmp_path}, PARAMS, workers=1, store=tmp_path)

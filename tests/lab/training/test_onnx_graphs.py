@@ -1,0 +1,74 @@
+import lightgbm
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+from epiprior_lab.training.families import FAMILIES, Boosted, fit
+from epiprior_lab.training.onnx_graphs import to_onnx
+from grouped_rows import make_rows
+
+pytestmark = pytest.mark.slow
+ROWS = make_rows()
+
+
+def exported(fitted, rows):
+    """Return the probabilities of the exported graph."""
+    session = onnxruntime.InferenceSession(to_onnx(fitted), providers=["CPUExecutionProvider"])
+    return session.run(None, {"rows": rows})[0]
+
+
+def splits_of(fitted):
+    """Return (column, threshold) of every split of an exported ensemble of trees."""
+    node = onnx.load_from_string(to_onnx(fitted)).graph.node[0]
+    found = {item.name: onnx.helper.get_attribute_value(item) for item in node.attribute}
+    splits = zip(found["nodes_featureids"], found["nodes_values"], found["nodes_modes"], strict=True)
+    return [(column, np.float32(value)) for column, value, mode in splits if mode == b"BRANCH_LEQ"]
+
+
+def rows_on_thresholds(fitted):
+    """Return rows, each with one value exactly on a threshold, or one float32 above or below it."""
+    splits = splits_of(fitted)
+    rng = np.random.default_rng(0)
+    rows = ROWS.rows[rng.integers(0, len(ROWS.rows), 4000)].copy()
+    for i, split in enumerate(rng.integers(0, len(splits), 4000)):
+        column, value = splits[split]
+        rows[i, column] = (value, np.nextafter(value, np.float32(9)), np.nextafter(value, np.float32(-9)))[i % 3]
+    return rows
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_graph_predicts_what_was_fitted(family):
+    fitted = fit(family, ROWS.rows, ROWS.labels, seed=1, max_rows=1500 if family == "svm" else None)
+    others = np.random.default_rng(3).normal(scale=10, size=(500, 5)).astype(np.float32)
+    for rows in (ROWS.rows, others, rows_on_thresholds(fitted) if family != "svm" else others):
+        assert np.abs(exported(fitted, rows) - fitted.probability(rows)).max() < 1e-6
+
+
+def test_without_rounded_thresholds_values_on_them_would_fall_on_the_wrong_side():
+    # Shows that the test above can fail: the same trees with LightGBM's own thresholds in double.
+    X = np.round(ROWS.rows * 10) / 10
+    data = lightgbm.Dataset(X, ROWS.labels.astype(np.float32), params={"verbosity": -1})
+    settings = {"objective": "binary", "verbosity": -1, "num_threads": 1, "use_missing": False}
+    raw = Boosted(lightgbm.train(settings, data, 30))
+    rows = np.repeat(X, 3, axis=0).astype(np.float32)
+    splits = splits_of(raw)
+    for i in range(len(rows)):
+        column, value = splits[i % len(splits)]
+        rows[i, column] = value
+    assert np.abs(exported(raw, rows) - raw.probability(rows)).max() > 1e-3
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_graphs_carry_nothing_that_changes(family):
+    graph = to_onnx(fit(family, ROWS.rows, ROWS.labels, seed=1, max_rows=600))
+    model = onnx.load_from_string(graph)
+    assert (model.producer_name, model.producer_version, model.doc_string) == ("epiprior", "", "")
+    assert model.graph.name == "epiprior"
+    assert not model.metadata_props
+    assert [item.name for item in model.graph.output] == ["probability"]
+
+
+def test_another_class_is_refused():
+    with pytest.raises(TypeError, match="no ONNX export for int"):
+        to_onnx(3)
