@@ -12,7 +12,8 @@ import pandas as pd
 from epiprior.estimators import find_estimator
 from epiprior.types import BoolArray, Status
 from epiprior_lab.evaluation.records import right_column
-from epiprior_lab.evaluation.statistics import CalibrationBins, Interval, success_curve
+from epiprior_lab.evaluation.statistics import Interval, success_curve
+from epiprior_lab.measures import CalibrationBins
 from epiprior_lab.report.results import ROUNDING, ReportError, Results
 from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, order_of
 
