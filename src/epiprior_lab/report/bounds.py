@@ -66,13 +66,10 @@ def judge(
 
     `results` go with `tables` (``successes``, ``duels``, ``rankings``); `overhead` is from `timing.overhead_table`.
 
-    Returns
-    -------
-    DataFrame
-        ``measure, group, threshold_px, estimator, input, against``: the bound, with whom the numbers are about;
-        ``wanted, found, low, high`` (95 % interval over scenes); ``possible``, what would be found if every pair
-        succeeded; ``kept`` of how many estimators ``of`` keep to the bound; ``met``: by the value, of a difference by
-        an interval that excludes the bound for everyone. Without any such pair nothing is found, and not met.
+    Columns: ``measure, group, threshold_px, estimator, input, against``: the bound, with whom the numbers are about;
+    ``wanted, found, low, high`` (95 % interval over scenes); ``possible``, what would be found if every pair
+    succeeded; ``kept`` of how many estimators ``of`` keep to the bound; ``met``: by the value, of a difference by an
+    interval that excludes the bound for everyone. Without any such pair nothing is found, and not met.
 
     Raises
     ------

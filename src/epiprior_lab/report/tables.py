@@ -12,7 +12,8 @@ import pandas as pd
 from epiprior.estimators import find_estimator
 from epiprior.types import BoolArray, Status
 from epiprior_lab.evaluation.records import right_column
-from epiprior_lab.evaluation.statistics import CalibrationBins, Interval, success_curve
+from epiprior_lab.evaluation.statistics import Interval, success_curve
+from epiprior_lab.measures import CalibrationBins
 from epiprior_lab.report.results import ROUNDING, ReportError, Results
 from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, order_of
 
@@ -29,35 +30,31 @@ Cells = dict[str, Any]
 def success_table(results: Results, thresholds_px: Sequence[float]) -> pd.DataFrame:
     """Return successes by threshold, group, estimator and input.
 
-    Returns
-    -------
-    DataFrame
-        ``threshold_px, group, estimator, input, pairs, scenes``; ``successes`` (pairs, mean over seeds) with their
-        deviation ``successes_sd``; ``successes_ok``, those whose status is `ok`; ``scene_share``, the share of
-        successes per scene, mean over scenes. Against the input without preprocessing ``gain``, the paper's
-        contribution, and ``scene_gain``, the difference of scene shares; against `SNN` the contribution ``snn_gain``;
-        each with the ends of its 95 % interval, ``_low`` and ``_high``; NaN for that input itself.
+    Columns: ``threshold_px, group, estimator, input, pairs, scenes``; ``successes`` (pairs, mean over seeds) with
+    their deviation ``successes_sd``; ``successes_ok``, those whose status is `ok`; ``scene_share``, the share of
+    successes per scene, mean over scenes. Against the input without preprocessing ``gain``, the paper's contribution,
+    and ``scene_gain``, the difference of scene shares; against `SNN` the contribution ``snn_gain``; each with the ends
+    of its 95 % interval, ``_low`` and ``_high``; NaN for that input itself.
     """
     rows = []
     for threshold in thresholds_px:
         for group, member in results.groups():
             for estimator in results.estimators:
                 names = results.inputs(estimator)
+                base, key = names[0], (group, estimator, str(threshold))
                 rates = {name: results.errors.of(estimator, name, threshold) for name in names}
+                shares = {name: results.per_scene(rates[name], member) for name in names}
                 for name in names:
                     mean, deviation = success_curve(results.errors.values(estimator, name)[member], [threshold])
                     row: Cells = {"threshold_px": threshold, "group": group, "estimator": estimator, "input": name}
                     row |= {"pairs": int(member.sum()), "scenes": len(set(results.scenes[member]))}
                     row |= {"successes": mean[0], "successes_sd": deviation[0]}
                     row["successes_ok"] = float(results.accepted.of(estimator, name, threshold)[member].sum())
-                    shares = results.per_scene(rates[name], member)
-                    row["scene_share"] = float(shares.mean())
-                    key = (group, estimator, str(threshold))
-                    if name != names[0]:
-                        found = results.compare(rates[names[0]], rates[name], member, *key)
+                    row["scene_share"] = float(shares[name].mean())
+                    if name != base:
+                        found = results.compare(rates[base], rates[name], member, *key)
                         row |= results.interval("gain", found.contribution, member)
-                        base = results.per_scene(rates[names[0]], member)
-                        per_scene = results.compare_scenes(base, shares, *key)
+                        per_scene = results.compare_scenes(shares[base], shares[name], *key)
                         row |= results.interval("scene_gain", per_scene.difference, member)
                     if name == OURS and SNN in names:
                         found = results.compare(rates[SNN], rates[name], member, *key)
@@ -69,12 +66,9 @@ def success_table(results: Results, thresholds_px: Sequence[float]) -> pd.DataFr
 def duel_table(results: Results, champion: str, thresholds_px: Sequence[float]) -> pd.DataFrame:
     """Return one estimator against every other on the same input, pair by pair.
 
-    Returns
-    -------
-    DataFrame
-        One row per threshold, main group, input (`OURS`, `SNN`) and other estimator: ``pairs``; successful pairs of the
-        ``champion`` and of the ``other``; their ``difference`` with the ends of its 95 % interval; ``decided``:
-        ``better`` or ``worse`` where the interval excludes zero by more than rounding, else ``open``.
+    One row per threshold, main group, input (`OURS`, `SNN`) and other estimator: ``pairs``; successful pairs of the
+    ``champion`` and of the ``other``; their ``difference`` with the ends of its 95 % interval; ``decided``: ``better``
+    or ``worse`` where the interval excludes zero by more than rounding, else ``open``.
 
     Raises
     ------
@@ -113,13 +107,10 @@ def geometry_table(results: Results, pose_deg: Sequence[float], recall_at: float
 
     Pose errors are the larger of both angles, distances the normalised symmetric geometric ones.
 
-    Returns
-    -------
-    DataFrame
-        ``group, estimator, input``; ``cameras``, pairs with a known pose, ``auc_<limit>`` over these and
-        ``scene_auc_<limit>``, averaged over scenes; ``posed_successes``, successful runs of these pairs, and
-        ``wrong_poses``, those of them that are off by more than the highest limit; ``true_F``, pairs with a true F,
-        ``distance_recall`` and ``median_distance`` over these. A run without F is a failure; NaN without such pairs.
+    Columns: ``group, estimator, input``; ``cameras``, pairs with a known pose, ``auc_<limit>`` over these and
+    ``scene_auc_<limit>``, averaged over scenes; ``posed_successes``, successful runs of these pairs, and
+    ``wrong_poses``, those of them that are off by more than the highest limit; ``true_F``, pairs with a true F,
+    ``distance_recall`` and ``median_distance`` over these. A run without F is a failure; NaN without such pairs.
     """
     with_pose, with_F = (_ever(results, column) for column in ("translation_deg", "distance"))
     rows = []
@@ -154,12 +145,9 @@ def _ever(results: Results, column: str) -> BoolArray:
 def ranking_table(results: Results) -> pd.DataFrame:
     """Return means over labelled pairs by group, input and ranking.
 
-    Returns
-    -------
-    DataFrame
-        ``group, input, ranking, pairs, matches, right``; `PRECISIONS` and ``scene_<name>`` of each, averaged over
-        scenes; ``enough``, the share of pairs with `ENOUGH_RIGHT` right matches or more; and against X_L in the order
-        of the distance ratio ``gain``, the difference of precision at 100, with the ends of its 95 % interval.
+    Columns: ``group, input, ranking, pairs, matches, right``; `PRECISIONS` and ``scene_<name>`` of each, averaged over
+    scenes; ``enough``, the share of pairs with `ENOUGH_RIGHT` right matches or more; and against X_L in the order of
+    the distance ratio ``gain``, the difference of precision at 100, with the ends of its 95 % interval.
     """
     columns = ["group", "pair_id"]
     index = pd.MultiIndex.from_frame(results.tables.pairs[columns])
@@ -201,13 +189,10 @@ def calibration_sums(calibration: pd.DataFrame) -> CalibrationBins:
 def calibration_table(results: Results) -> pd.DataFrame:
     """Return how far probabilities are right, by group and ranked input; groups without labels have no row.
 
-    Returns
-    -------
-    DataFrame
-        ``group, input, matches, right, brier_score, expected_calibration_error``; ``lowest_share``, the share of the
-        matches in the lowest bin, and ``upper_error``, the calibration error of all others; ``gap_stated, gap_right``,
-        mean probability and share of right matches in the bin where they differ most, and ``top_stated, top_right`` in
-        the highest one, among bins of `ENOUGH_IN_BIN` matches or more.
+    Columns: ``group, input, matches, right, brier_score, expected_calibration_error``; ``lowest_share``, the share of
+    the matches in the lowest bin, and ``upper_error``, the calibration error of all others; ``gap_stated, gap_right``,
+    mean probability and share of right matches in the bin where they differ most, and ``top_stated, top_right`` in the
+    highest one, among bins of `ENOUGH_IN_BIN` matches or more.
     """
     rows = []
     for group, member in results.groups():
@@ -238,12 +223,9 @@ def calibration_table(results: Results) -> pd.DataFrame:
 def status_table(results: Results, threshold_px: float) -> pd.DataFrame:
     """Return what the verification makes of right F (error below the threshold) and of wrong F.
 
-    Returns
-    -------
-    DataFrame
-        One row per group and input (`ALL` last): ``runs``; ``without_F``, those that gave no F; of the others ``right``
-        and ``wrong``, and of these ``<kind>_no_model``, ``<kind>_degenerate`` and the sum of both as a share,
-        ``<kind>_turned_down``, NaN where there is none of the kind.
+    One row per group and input (`ALL` last): ``runs``; ``without_F``, those that gave no F; of the others ``right``
+    and ``wrong``, and of these ``<kind>_no_model``, ``<kind>_degenerate`` and the sum of both as a share,
+    ``<kind>_turned_down``, NaN where there is none of the kind.
     """
     rows = []
     for group, member in results.groups():
@@ -264,14 +246,10 @@ def status_table(results: Results, threshold_px: float) -> pd.DataFrame:
 def limits_table(results: Results, champion: str, success_px: float) -> pd.DataFrame:
     """Return where one estimator fails on our matches of hard pairs, and who else solves these pairs.
 
-    Returns
-    -------
-    DataFrame
-        ``group`` (`ALL` hard pairs, then every family or set that has any), ``pairs`` and those ``failing``;
-        ``precision_failing, precision_solved``, medians of our precision of the top 100; and of the failing pairs those
-        that are solved in hindsight: by the champion on any other input (``other_input``), by any other estimator on
-        our matches (``other_estimator``), by any estimator on any input (``anyone``). A pair is solved if most runs
-        succeed.
+    Columns: ``group`` (`ALL` hard pairs, then every family or set that has any), ``pairs`` and those ``failing``;
+    ``precision_failing, precision_solved``, medians of our precision of the top 100; and of the failing pairs those
+    that are solved in hindsight: by the champion on any other input (``other_input``), by any other estimator on our
+    matches (``other_estimator``), by any estimator on any input (``anyone``). A pair is solved if most runs succeed.
     """
     hard, none = results.hard_pairs, np.zeros(len(results.scenes), np.bool_)
     if not hard.any() or OURS not in results.inputs(champion):
@@ -304,11 +282,9 @@ def limits_table(results: Results, champion: str, success_px: float) -> pd.DataF
 def set_table(results: Results, known: Sequence[Any] = ()) -> pd.DataFrame:
     """Return one row per set or family; sets of `known` (`pairsets.KnownSet`) come first, absent ones included.
 
-    Returns
-    -------
-    DataFrame
-        ``group, title, paper, state`` (``evaluated``, ``apart`` or ``not present``), ``pairs`` (as published where not
-        present), ``scenes``, ``labels`` (what decides that a match is right), ``points``, and pairs of each difficulty.
+    Columns: ``group, title, paper, state`` (``evaluated``, ``apart`` or ``not present``), ``pairs`` (as published
+    where not present), ``scenes``, ``labels`` (what decides that a match is right), ``points``, and pairs of each
+    difficulty.
     """
     by_name = {one.name: one for one in known}
     rows = []
@@ -331,11 +307,8 @@ def set_table(results: Results, known: Sequence[Any] = ()) -> pd.DataFrame:
 def pair_table(results: Results) -> pd.DataFrame:
     """Return one row per pair, estimator and input: every number that the other tables are made of.
 
-    Returns
-    -------
-    DataFrame
-        ``group, pair_id, scene, difficulty, labels, right_share``; ``estimator, input, found`` (runs with an F); the
-        errors of all seeds, ``error_px_<seed>``; ``distance`` and ``pose_deg``, means over runs with an F.
+    Columns: ``group, pair_id, scene, difficulty, labels, right_share``; ``estimator, input, found`` (runs with an F);
+    the errors of all seeds, ``error_px_<seed>``; ``distance`` and ``pose_deg``, means over runs with an F.
     """
     keys = ["group", "pair_id", "scene", "estimator", "input"]
     runs = results.tables.runs
@@ -371,11 +344,9 @@ def estimator_table(results: Results) -> pd.DataFrame:
 def classifier_table(metrics: pd.DataFrame) -> pd.DataFrame:
     """Return each metric of each classifier, with folds by scene and by row.
 
-    Returns
-    -------
-    DataFrame
-        ``preset, target, family, metric``, then over all rows ``grouped``, ``ungrouped`` and ``calibrated`` (grouped,
-        after calibration), and deviations over folds ``grouped_sd`` and ``ungrouped_sd``; NaN where there is none.
+    Columns: ``preset, target, family, metric``, then over all rows ``grouped``, ``ungrouped`` and ``calibrated``
+    (grouped, after calibration), and deviations over folds ``grouped_sd`` and ``ungrouped_sd``; NaN where there is
+    none.
     """
     flags = metrics["grouped"].astype(str).str.lower().isin(["true", "1"])
     table = metrics.assign(fold=metrics["fold"].astype(str), grouped=flags)

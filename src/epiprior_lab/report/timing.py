@@ -29,11 +29,8 @@ def seconds_table(timings: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
     threshold_px : float
         Of success, pixels.
 
-    Returns
-    -------
-    DataFrame
-        ``estimator, input, outcome`` (``success`` or ``failure``), ``runs``, and mean, median and longest seconds of
-        the estimator alone; outcomes that did not occur have no row.
+    Columns: ``estimator, input, outcome`` (``success`` or ``failure``), ``runs``, and mean, median and longest seconds
+    of the estimator alone; outcomes that did not occur have no row.
     """
     table = timings[timings["input"] != CASCADE]
     table = table.assign(outcome=np.where(table["error_px"] < threshold_px, "success", "failure"))
@@ -44,13 +41,10 @@ def seconds_table(timings: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
 def overhead_table(timings: pd.DataFrame, results: Results, threshold_px: float) -> pd.DataFrame:
     """Return the time with the preprocessing step over the time without, matching included.
 
-    Returns
-    -------
-    DataFrame
-        One row per input with the step (presets and `CASCADE`), group and estimator (`ALL` last, of both): ``runs``;
-        ``seconds_without`` and ``seconds_with``, means over runs; ``overhead``, their ratio, the paper's definition;
-        ``median_overhead``, the median over runs of the ratio of the same pair, estimator and seed; ``preprocessed``,
-        the share of runs whose matches were ranked; ``contribution`` to successes, NaN over several estimators.
+    One row per input with the step (presets and `CASCADE`), group and estimator (`ALL` last, of both): ``runs``;
+    ``seconds_without`` and ``seconds_with``, means over runs; ``overhead``, their ratio, the paper's definition;
+    ``median_overhead``, the median over runs of the ratio of the same pair, estimator and seed; ``preprocessed``, the
+    share of runs whose matches were ranked; ``contribution`` to successes, NaN over several estimators.
     """
     keys = ["group", "pair_id", "estimator", "seed"]
     without = timings[timings["input"].isin(BASELINES)][[*keys, "seconds_total"]]
