@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from epiprior.matching.selection import one_to_one_mask
 
 from epiprior.matching.roll import expected_roll, orientation_differences
-from epiprior.matching.selection import one_to_one_mask
 from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
 from epiprior_lab.evaluation.inputs import PRESETS, MatchFiles
 from epiprior_lab.evaluation.records import RANKS, CalibrationRecord, PairRecord, RankingRecord, Record
