@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from epiprior.features.images import View
-from epiprior.kernels.compilation import compiled
-from epiprior.kernels.sampson import residual_of
+from epiprior.geometry import as_columns
+from epiprior.kernels.sampson import squared_distances
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import DEFAULT, PreprocessSettings
 from epiprior.rank import rank_voted
@@ -158,16 +158,6 @@ def reordered(matches: MatchSet, ranking: str) -> MatchSet:
     return replace(taken, probability=taken.supporting_matrices / max(len(taken.rough_matrices), 1))
 
 
-@compiled
-def _supports(F, columns, limit_sq, counts):  # type: ignore[no-untyped-def]
-    for k in range(len(F)):
-        count = 0
-        for m in range(columns.shape[1]):
-            e, gradient = residual_of(F[k], columns[0, m], columns[1, m], columns[2, m], columns[3, m])
-            count += e * e < limit_sq * gradient
-        counts[k] = count
-
-
 def supports(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> IntArray:
     """Return how many matches support each matrix.
 
@@ -185,6 +175,10 @@ def supports(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float)
     ndarray, shape (P,), int64
         0 to M.
     """
+    columns = as_columns(x1, x2)
+    distance_sq, gradient_sq = np.empty((2, len(x1)))
     counts = np.zeros(len(F), np.int64)
-    _supports(np.ascontiguousarray(F), np.ascontiguousarray(np.hstack([x1, x2]).T), threshold_px**2, counts)
+    for k, matrix in enumerate(np.ascontiguousarray(F)):
+        squared_distances(matrix, columns, distance_sq, gradient_sq)
+        counts[k] = np.count_nonzero(distance_sq < threshold_px**2)
     return counts

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
+from epiprior.matching.standard import StandardTable
 from epiprior.presets import find_preset
 from epiprior.ranking import hypothesis
 from epiprior.ranking.frames import MatchFrames
-from epiprior.ranking.probabilities import StandardTable, Union
+from epiprior.ranking.probabilities import Union
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
 from epiprior.types import BoolArray, Float32Array, FloatArray
 from epiprior_lab.features.detection import DetectedPair, detect_pair

@@ -395,8 +395,11 @@ def _pair_block(evaluated: Tables, group: str, pair_id: str, success_px: float) 
     def own(table: pd.DataFrame) -> pd.DataFrame:
         return table[(table["group"] == group) & (table["pair_id"] == pair_id)]
 
-    rankings = own(evaluated.rankings).set_index(["input", "ranking"])
-    lists = [rankings.loc[(name, ranking)] for _, name, ranking, _ in _LISTS]
+    rankings = own(evaluated.rankings)
+    lists = [
+        rankings[(rankings["input"] == name) & (rankings["ranking"] == ranking)].iloc[0]
+        for _, name, ranking, _ in _LISTS
+    ]
     rows = [[name, *(f"{each[column]:,}" for each in lists)] for name, column in (
         ("matches", "matches"), ("right matches", "right"),
         ("right of the first 10", "right_10"), ("right of the first 100", "right_100"),

@@ -85,7 +85,7 @@ def success_table(
     for threshold in thresholds_px:
         for group, variants in analysis.variants.groupby("group", sort=False):
             scenes = variants.groupby("pair_id")["scene"].first().astype(str).tolist()
-            parts = {tuple(map(str, key)): part for key, part in variants.groupby(_KEY, sort=False)}  # type: ignore[arg-type]
+            parts = {tuple(map(str, key)): part for key, part in variants.groupby(_KEY, sort=False)}
             rates = {key: rate_of(part, threshold) for key, part in parts.items()}
             child = {"draws": draws, "seed": child_seed(seed, str(group), str(threshold))}
             for key, rate in rates.items():

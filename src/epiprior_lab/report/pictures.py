@@ -107,7 +107,7 @@ def rescued_pair(results: Results, group: str) -> str:
 def example_picture(pair: Pair, path: Path) -> Path:
     """Draw the best matches and epipolar lines of a pair, the baseline on the left, ours on the right."""
     images = (pair.image1, pair.image2)
-    before = estimate_fundamental(*images, estimator=EXAMPLE_ESTIMATOR, preprocess=False)
+    before = estimate_fundamental(*images, estimator=EXAMPLE_ESTIMATOR, mode="standard")
     ranked = rank_matches(*images)
     after = estimate_fundamental(*images, estimator=EXAMPLE_ESTIMATOR, ranked=ranked)
     used = next((found for found in ranked.sets if found.roll_deg == after.roll_deg), ranked.sets[0])
