@@ -26,8 +26,8 @@ from epiprior_lab.report.analysis_tables import (
     precision_table,
     success_table,
 )
-from epiprior_lab.report.contact_sheet import contact_sheet
 from epiprior_lab.report.page import Block, Page, Picture, Section, Table
+from epiprior_lab.report.pictures import contact_sheet
 from epiprior_lab.report.results import ROUNDING
 from epiprior_lab.report.text import interval, listed, number, order_of, share, signed
 

@@ -10,7 +10,7 @@ from epiprior_lab.analysis.bench import AnalysisSettings
 from epiprior_lab.compute.tasks import default_workers, single_threaded
 from epiprior_lab.evaluation.inputs import PRESETS, model_files
 from epiprior_lab.evaluation.records import Tables
-from epiprior_lab.evaluation.truth import truth_settings
+from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.pairsets import read_pair_set
 from epiprior_lab.params import load_study
 from epiprior_lab.report.analysis import write_analysis
@@ -40,7 +40,7 @@ def main() -> None:
             success_px=report.success_px,
         ),
         hand_overs=load_hand_overs(Path("models/hand_over.json")),
-        labels=truth_settings(params.truth).labels,
+        labels=LabelSettings.of(params.truth),
         files=model_files(Path("models"), PRESETS),
         workers=default_workers(),
         store=Path("data/.tasks/analysis"),

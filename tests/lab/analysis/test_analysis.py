@@ -13,13 +13,16 @@ from epiprior.rank import rank_matches
 from epiprior.ranking.frames import MatchFrames
 from epiprior.ranking.models import load_model
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
+from epiprior_lab.analysis import analyse as analysis
 from epiprior_lab.analysis import oracles as analysis_oracles
-from epiprior_lab.analysis import steps as analysis
 from epiprior_lab.analysis.bench import AnalysisSettings
+from epiprior_lab.analysis.records import Analysis, LimitRecord, VariantRecord
 from epiprior_lab.analysis.variants import oriented_votes, propose, ranked_sets, reordered, supports
+from epiprior_lab.evaluation.records import RANKS, RankingRecord, RunRecord, Tables
 from epiprior_lab.labels.ground_truth import LabelSettings, errors_px
 from epiprior_lab.pairsets import read_pair_set
-from epiprior_lab.report import analysis_page, analysis_tables, table1
+from epiprior_lab.report import analysis as page
+from epiprior_lab.report import analysis_tables
 from pictures import relief_pair, save
 from synthetic import make_pair
 from tiny_model import make_model
@@ -72,15 +75,12 @@ def analysed(pairs, model):
         patch.setattr(analysis, "find_preset", PRESETS.__getitem__)
         hand_overs = load_hand_overs(None)
         common = {"settings": SETTINGS, "hand_overs": hand_overs, "labels": LabelSettings()}
-        both = analysis.analyse_pairs({"relief": pairs, "easy": pairs[1:]}, complete=("relief",), **common)
-        return [of_family(both, name) for name in ("relief", "easy")]
+        return analysis.analyse_pairs({"relief": pairs, "easy": pairs[1:]}, complete=("relief",), **common)
 
 
-def of_family(found, name):
-    """Return the rows of one family."""
-    return analysis.PairAnalysis(
-        **{part: [row for row in rows if row["family"] == name] for part, rows in vars(found).items()}
-    )
+def of_group(found, name):
+    """Return the tables of one group."""
+    return Analysis(**{part: table[table["group"] == name] for part, table in vars(found).items()})
 
 
 @pytest.fixture(scope="module")
@@ -195,8 +195,8 @@ def test_oracles_know_the_truth():
 
 
 def test_rows_of_a_pair(analysed):
-    complete, easy = analysed
-    results = pd.DataFrame(complete.results)
+    complete, easy = (of_group(analysed, name) for name in ("relief", "easy"))
+    results = complete.variants
     key = ["pair_id", "experiment", "variant", "ranking", "estimator"]
     assert (results.groupby(key).size() == 2).all()
     steps = results[results["experiment"] == "steps"]
@@ -227,23 +227,23 @@ def test_rows_of_a_pair(analysed):
     assert not (blank["status"] == "ok").any()
     assert blank["error_px"].isna().all()
 
-    limits = pd.DataFrame(complete.limits).set_index("pair_id")
+    limits = complete.limits.set_index("pair_id")
     assert limits.loc["blank-0", "right_one_to_one"] == limits.loc["blank-0", "rough_matrices"] == 0
     assert limits.loc["relief-0", "rough_matrices"] == 20 * 19 // 2
     assert 0 < limits.loc["relief-0", "good_rough_matrices"] <= limits.loc["relief-0", "rough_matrices"]
     assert 100 < limits.loc["relief-0", "right_one_to_one_in_x"] <= limits.loc["relief-0", "right_one_to_one"]
 
-    few = pd.DataFrame(easy.results)
+    few = easy.variants
     assert set(few["experiment"]) == {"steps", "ablation"}
     assert set(few[few["experiment"] == "ablation"]["variant"]) == {"default", "X alone"}
     assert set(few[few["estimator"] == "prosac"]["variant"]) == {"sfm", "paper"}
-    assert easy.limits == []
+    assert easy.limits.empty
 
 
 def test_rankings_of_a_pair(analysed, ranked, pairs):
-    table = pd.DataFrame(analysed[0].rankings)
+    table = of_group(analysed, "relief").precision
     table = table[table["pair_id"] == "relief-0"].set_index(["variant", "ranking"])
-    final = ranked.sets[0]
+    final = ranked.sets[0].one_to_one()
     right = np.abs(final.x1[:, 1] - final.x2[:, 1]) < np.sqrt(2) * LabelSettings().epipolar_px
     assert table.loc[("default", "final"), "precision_100"] == pytest.approx(right[:100].mean(), abs=0.03)
     assert table.loc[("X alone", "final"), "matches"] < table.loc[("default", "final"), "matches"]
@@ -255,28 +255,24 @@ def test_rankings_of_a_pair(analysed, ranked, pairs):
 
 def made_up(rates):
     """Return an analysis of 4 pairs in which each variant's first seeds succeed as told, by pair."""
-    results, limits = [], []
-    for (experiment, variant, estimator), shares in rates.items():
-        for i, share in enumerate(shares):
-            for seed in range(5):
-                won = seed < 5 * share
-                results.append(
-                    {
-                        "family": "hard", "pair_id": f"p{i}", "scene": f"s{i}", "experiment": experiment,
-                        "variant": variant, "ranking": "final", "estimator": estimator, "seed": seed, "status": "ok",
-                        "error_px": 1.0 if won else 50.0, "score": 10.0 + i,
-                    }
-                )  # fmt: skip
-    for i in range(4):
-        limits.append(
-            {
-                "family": "hard", "pair_id": f"p{i}", "scene": f"s{i}", "matches": 100, "right_one_to_one": 12,
-                "right_one_to_one_in_x": 6 + 4 * i, "rough_matrices": 200, "good_rough_matrices": 10 * i,
-            }
-        )  # fmt: skip
-    names = ["family", "pair_id", "scene", "variant", "ranking", "matches", "right"]
-    rankings = pd.DataFrame(columns=[*names, "precision_10", "precision_100", "average_precision"])
-    return analysis_tables.Analysis(results=pd.DataFrame(results), rankings=rankings, limits=pd.DataFrame(limits))
+    key = [{"group": "hard", "pair_id": f"p{i}", "scene": f"s{i}"} for i in range(4)]
+    records = [
+        VariantRecord(
+            **key[i], experiment=experiment, variant=variant, ranking="final", estimator=estimator, seed=seed,
+            status="ok", error_px=1.0 if seed < 5 * share else 50.0, score=10.0 + i,
+        )
+        for (experiment, variant, estimator), shares in rates.items()
+        for i, share in enumerate(shares)
+        for seed in range(5)
+    ]  # fmt: skip
+    limits = [
+        LimitRecord(
+            **key[i], matches=100, right_one_to_one=12, right_one_to_one_in_x=6 + 4 * i, rough_matrices=200,
+            good_rough_matrices=10 * i,
+        )
+        for i in range(4)
+    ]  # fmt: skip
+    return Analysis.from_records([*records, *limits])
 
 
 RATES = {
@@ -301,16 +297,16 @@ def test_where_successes_are_lost():
     assert at.loc[(10.0, "beem"), parts].tolist() == pytest.approx([1, 2, 0, 1, 0])
     assert at.loc[(0.5, "usac"), parts].tolist() == [0, 0, 0, 0, 4]
     higher = made_up(RATES)
-    higher.results.loc[higher.results["variant"] == "default", "score"] = 12.0
+    higher.variants.loc[higher.variants["variant"] == "default", "score"] = 12.0
     assert analysis_tables.lost_table(higher, (10.0,)).loc[0, parts].tolist() == pytest.approx([1.8, 0, 0.6, 1.0, 0.6])
 
 
 def test_only_an_f_that_is_right_at_the_threshold_is_the_truth():
     """The fit to the right matches has much support and an error of 5 px: right below 10 px, wrong below 3 px."""
     made = made_up(RATES)
-    oracle = made.results["variant"] == "right matches"
-    made.results.loc[oracle, ["score", "error_px"]] = [20.0, 5.0]
-    made.results.loc[made.results["variant"] == "default", "score"] = 12.0
+    oracle = made.variants["variant"] == "right matches"
+    made.variants.loc[oracle, ["score", "error_px"]] = [20.0, 5.0]
+    made.variants.loc[made.variants["variant"] == "default", "score"] = 12.0
     lost = analysis_tables.lost_table(made, (10.0, 3.0)).set_index(["threshold_px", "estimator"])
     assert lost.loc[(10.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0.6, 0])
     assert lost.loc[(3.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0, 0.6])
@@ -319,7 +315,7 @@ def test_only_an_f_that_is_right_at_the_threshold_is_the_truth():
 def differences(*rows):
     """Return rows of a table of successes of 8 pairs below 10 px: variant, ranking, difference and its interval."""
     names = ("variant", "ranking", "difference", "difference_low", "difference_high")
-    at = {"family": "hard", "threshold_px": 10.0, "pairs": 8}
+    at = {"group": "hard", "threshold_px": 10.0, "pairs": 8}
     return pd.DataFrame([at | dict(zip(names, row, strict=True)) for row in rows])
 
 
@@ -328,11 +324,11 @@ def test_the_page_says_where_the_whole_is_below_a_part():
         ("standard", "lowe", 0.4, -1.0, 2.0), ("sfm", "sfm", 1.8, 0.4, 3.0), ("single F", "none", 1.0, 0.5, 2.0),
         ("2keypoint", "2keypoint", 4e-16, 0.0, 1.0), ("paper", "final", np.nan, np.nan, np.nan),
     )  # fmt: skip
-    text = analysis_page._steps_read(table)
+    text = page._steps_read(table)
     assert "in the mean: *standard input (X_L)* on hard (10 px); *sfm alone* on hard (10 px)." in text
     assert text.endswith("excludes zero: sfm alone on hard below 10 px, +1.8 [+0.4, +3.0].")
     assert "single" not in text
-    assert "Nor are they below" in analysis_page._steps_read(differences(("sfm", "sfm", -1.0, -2.0, 1.0)))
+    assert "Nor are they below" in page._steps_read(differences(("sfm", "sfm", -1.0, -2.0, 1.0)))
 
 
 def test_the_page_says_which_variants_differ():
@@ -340,14 +336,14 @@ def test_the_page_says_which_variants_differ():
         ("default", "final", np.nan, np.nan, np.nan), ("K_2kp 50", "final", -0.6, -1.2, -0.2),
         ("frames of SIFT", "final", 0.5, 4e-15, 1.0), ("K_2kp 50", "sfm", 0.5, -0.2, 1.0),
     )  # fmt: skip
-    text = analysis_page._ablations_read(table)
+    text = page._ablations_read(table)
     assert "Of the 2 differences ranked by final, this one has an interval that excludes zero: K_2kp 50 on hard" in text
     assert "Of the 1 differences ranked by sfm, none has" in text
     assert "With 8 pairs" in text
 
 
 def test_successes_and_their_references():
-    table = analysis_tables.success_table(made_up(RATES), thresholds_px=(10.0,), draws=200, seed=0)
+    table = analysis_tables.success_table(made_up(RATES), "usac", thresholds_px=(10.0,), draws=200, seed=0)
     with_beem = table[table["estimator"] == "beem"].set_index("variant")
     assert np.isnan(with_beem.loc["default", "difference"])
     assert with_beem.loc["true labels", "difference"] == pytest.approx(3 - 1)
@@ -374,38 +370,39 @@ def test_what_the_pairs_allow():
 
 def evaluated():
     """Return what an evaluation of five pairs says, of which the shares of right matches in X_L are known."""
-    rankings, results = [], []
+    records = []
     for i, right in enumerate([30, 10, 50, 20, 40]):
-        for preset, ranking in table1.LISTS.values():
-            rankings.append(
-                {
-                    "family": "f", "pair_id": f"p{i}", "scene": "s", "preset": preset, "ranking": ranking,
-                    "matches": 100 if ranking == "lowe" else 5000, "right": right, "precision_10": 0.9,
-                    "precision_100": right / 100, "precision_500": 0.1, "average_precision": 0.3,
-                }
-            )  # fmt: skip
+        key = {"group": "f", "pair_id": f"p{i}", "scene": "s"}
+        for name in ("paper", "default"):
+            for ranking in ("lowe", "blogs", "final"):
+                at = tuple(min(rank, right) if rank != 10 else 9 for rank in RANKS)
+                n = 100 if ranking == "lowe" else 5000
+                records.append(
+                    RankingRecord(
+                        **key, input=name, ranking=ranking, matches=n, right=right, average_precision=0.3, right_at=at
+                    )
+                )
         for estimator in ("usac", "beem", "blogs"):
             for name in ("standard", "paper", "default"):
                 for seed in range(3):
                     won = name == "default" or (estimator == "beem" and seed < 2)
-                    results.append(
-                        {"pair_id": f"p{i}", "scene": "s", "estimator": estimator, "input": name, "seed": seed,
-                         "status": "ok", "error_px": 2.0 if won else 30.0}
+                    nothing = dict.fromkeys(
+                        ("plausibility", "median_error_px", "distance", "rotation_deg", "translation_deg"), np.nan
+                    )
+                    records.append(
+                        RunRecord(**key, estimator=estimator, input=name, seed=seed, status="ok", support=9, matches=9,
+                                  spread=9, iterations=None, error_px=2.0 if won else 30.0, **nothing)
                     )  # fmt: skip
-    return table1.FamilyResults(results=pd.DataFrame(results), rankings=pd.DataFrame(rankings))
+    return Tables.from_records(records)
 
 
 def test_named_pairs_are_chosen_by_rule():
-    assert table1.named_pairs(evaluated().rankings, (0.0, 0.5, 1.0)) == ["p1", "p0", "p2"]
+    assert page.named_pairs(evaluated().rankings, "f", (0.0, 0.5, 1.0)) == ["p1", "p0", "p2"]
 
 
 def test_table1_says_who_succeeds():
-    text = table1.table1_markdown({"f": evaluated()}, (0.5,), 10.0)
-    rows = {
-        line.split("|")[1].strip(): [c.strip() for c in line.split("|")[2:-1]]
-        for line in text.splitlines()
-        if "|" in line
-    }
+    made = page.table1_page(evaluated(), {"f": ["p0"]}, (0.5,), 10.0)
+    rows = {row[0]: row[1:] for row in made.sections[1].blocks[0].rows}
     assert rows["matches"] == ["100", "5,000", "5,000", "5,000"]
     assert rows["right of the first 10"] == ["9"] * 4
     assert rows["right of the first 100"] == ["30"] * 4
@@ -413,27 +410,25 @@ def test_table1_says_who_succeeds():
 
 
 def test_everything_is_written_twice_alike(analysed, pairs, tmp_path):
-    analysis.PairAnalysis.join(analysed).write(tmp_path / "data")
-    found = table1.FamilyResults(
-        rankings=evaluated().rankings.replace({"pair_id": {"p0": "relief-0", "p1": "blank-0"}}),
-        results=evaluated().results.replace({"pair_id": {"p0": "relief-0", "p1": "blank-0"}}),
+    analysed.write(tmp_path / "data")
+    names = {"p0": "relief-0", "p1": "blank-0"}
+    found = Tables(
+        **{name: t.replace({"pair_id": names, "group": {"f": "relief"}}) for name, t in vars(evaluated()).items()}
     )
     written = []
-    for name in ("one", "two"):
-        out = tmp_path / name
-        files = analysis_page.write_analysis(
-            analysis_tables.Analysis.read(tmp_path / "data"), {"relief": found}, {"relief": pairs}, out,
+    for out in (tmp_path / "one", tmp_path / "two"):
+        page.write_analysis(
+            Analysis.read(tmp_path / "data"), found, {"relief": pairs}, out, estimator="usac",
             thresholds_px=(10.0, 3.0), quantiles=(0.0, 0.5), refined=5, draws=100, seed=0,
         )  # fmt: skip
-        assert {path.name for path in files} == {path.name for path in out.iterdir()}
-        written.append({path.name: path.read_bytes() for path in files})
+        written.append({path.name: path.read_bytes() for path in out.iterdir()})
     assert written[0] == written[1]
     assert set(written[0]) == {
-        "analysis.md", "table1.md", "table1.jpg", "steps.png", "ablations.png", "limits.png",
-        "successes.csv", "rankings.csv", "lost.csv",
+        "analysis.md", "index.html", "table1.md", "table1.jpg", "steps.png", "ablations.png", "limits.png",
+        "successes.csv", "precision.csv", "lost.csv",
     }  # fmt: skip
-    page = written[0]["analysis.md"].decode()
-    assert "**relief**, 2 pairs" in page
-    assert "two oriented matches | sfm" in page
-    assert "{" not in page
-    assert "nan" not in page
+    text = written[0]["analysis.md"].decode()
+    assert "**relief**, 2 pairs" in text
+    assert "two oriented matches | sfm" in text
+    assert "{" not in text
+    assert "nan" not in text
