@@ -1,7 +1,7 @@
 """Fundamental matrices from points, their refinement, and Sampson distances.
 
-Conventions: ``x1, x2`` are ``(N, 2)`` float64 pixels; ``x2' F x1 = 0``; residuals are unsquared pixels.
-References: Hartley and Zisserman, Multiple View Geometry, 2nd ed., chapter 11 (eight points: 11.2; Sampson: 11.4.3).
+Conventions: ``x1, x2`` are ``(N, 2)`` float64 pixels; ``x2' F x1 = 0``; residuals are unsquared pixels. References:
+Hartley and Zisserman, Multiple View Geometry, 2nd ed., chapter 11 (eight points: 11.2; Sampson: 11.4.3).
 """
 
 from __future__ import annotations
@@ -24,10 +24,7 @@ SCORE_THRESHOLD_PX = 2.0
 def as_points(name: str, points: ArrayLike) -> FloatArray:
     """Return `points` as a contiguous float64 array of shape (N, 2).
 
-    Raises
-    ------
-    FeatureError
-        If the shape is another, or a value is not finite; the message carries `name`.
+    Raises FeatureError if the shape is another, or a value is not finite; the message carries `name`.
     """
     try:
         array = np.ascontiguousarray(points, dtype=np.float64)
@@ -56,13 +53,9 @@ def normalise_fundamental(F: FloatArray) -> FloatArray | None:
 
     Parameters
     ----------
-    F : ndarray, shape (3, 3)
-        Any 3 x 3 matrix.
+    F : (3, 3). Any 3 x 3 matrix.
 
-    Returns
-    -------
-    ndarray, shape (3, 3), or None
-        None where `F` has another shape, holds a value that is not finite, or has rank below 2.
+    Returns: (3, 3). None where `F` has another shape, holds a value that is not finite, or has rank below 2.
     """
     F = np.asarray(F, dtype=np.float64)
     if F.shape != (3, 3) or not np.isfinite(F).all():
@@ -83,24 +76,14 @@ def sampson_distance(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArra
 
     Parameters
     ----------
-    F : ndarray, shape (3, 3)
-        Fundamental matrix with ``x2' F x1 = 0``; any non-zero scale.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matched points, pixels. ``N = 0`` is allowed.
+    F : (3, 3). Fundamental matrix with ``x2' F x1 = 0``; any non-zero scale.
+    x1, x2 : (N, 2) float64. Matched points, pixels. ``N = 0`` is allowed.
 
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        >= 0; ``inf`` where both epipolar lines are undefined.
+    Returns: (N,) float64. >= 0; ``inf`` where both epipolar lines are undefined.
 
-    Raises
-    ------
-    FeatureError
-        If shapes disagree; the message carries them.
+    Raises FeatureError if shapes disagree; the message carries them.
 
-    References
-    ----------
-    Hartley and Zisserman, equation 11.9 (its square).
+    References: Hartley and Zisserman, equation 11.9 (its square).
     """
     if x1.shape != x2.shape or x1.ndim != 2 or x1.shape[1] != 2:
         raise FeatureError(f"x1 and x2 have shapes {x1.shape} and {x2.shape}, expected (N, 2) twice")
@@ -121,15 +104,11 @@ def centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray
 
     Parameters
     ----------
-    models : ndarray, shape (K, 3, 3), float64
-        Fundamental matrices for pixels; K = 0 is allowed.
-    centre1, centre2 : ndarray, shape (2,), float64
-        What is subtracted from the points of both images.
+    models : (K, 3, 3) float64. Fundamental matrices for pixels; K = 0 is allowed.
+    centre1, centre2 : (2,) float64. What is subtracted from the points of both images.
 
-    Returns
-    -------
-    ndarray, shape (9, K), float32
-        Row by row, each matrix at a size at which neither its entries nor its residuals leave single precision.
+    Returns: (9, K) float32. Row by row, each matrix at a size at which neither its entries nor its residuals leave
+    single precision.
     """
     T1, T2 = np.eye(3), np.eye(3)
     T1[:2, 2], T2[:2, 2] = centre1, centre2
@@ -144,20 +123,13 @@ def eight_point(x1: FloatArray, x2: FloatArray, weights: FloatArray | None = Non
 
     Parameters
     ----------
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matches, pixels, N >= 8.
-    weights : ndarray, shape (N,), float64, optional
-        Non-negative weight of each match's squared algebraic residual.
+    x1, x2 : (N, 2) float64. Matches, pixels, N >= 8.
+    weights : (N,) float64. Non-negative weight of each match's squared algebraic residual.
 
-    Returns
-    -------
-    ndarray, shape (3, 3), or None
-        Normalised as by `normalise_fundamental`; None for fewer than 8 matches of positive weight or where the
-        points decide nothing.
+    Returns: (3, 3). Normalised as by `normalise_fundamental`; None for fewer than 8 matches of positive weight or where
+    the points decide nothing.
 
-    References
-    ----------
-    Hartley and Zisserman, algorithm 11.1.
+    References: Hartley and Zisserman, algorithm 11.1.
     """
     w = np.ones(len(x1)) if weights is None else np.ascontiguousarray(weights, dtype=np.float64)
     F = np.empty((3, 3))
@@ -183,32 +155,22 @@ def refine_fundamental(
 ) -> FloatArray:
     """Return the best F of a series of weighted eight-point fits over shrinking thresholds.
 
-    Each fit takes the matches within the threshold of the F before it, by its weight, lowered towards the
-    threshold (Tukey's biweight) and divided by the squared gradient of the residual, so that what is
-    minimised is the Sampson distance. The F with the highest `weighted_score` is kept, the first one
-    included: the result never scores less than what went in.
+    Each fit takes the matches within the threshold of the F before it, by its weight, lowered towards the threshold
+    (Tukey's biweight) and divided by the squared gradient of the residual, so that what is minimised is the Sampson
+    distance. The F with the highest `weighted_score` is kept, the first one included: the result never scores less than
+    what went in.
 
     Parameters
     ----------
-    F : ndarray, shape (3, 3)
-        Start; within the first threshold of the truth on most right matches.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matches, pixels, one-to-one. N < 8 returns `F`.
-    weights : ndarray, shape (N,), float64, optional
-        Probability of each match; 1 by default.
-    thresholds : sequence of float
-        Pixels, from wide to narrow.
-    score_threshold_px : float
-        Of the score that decides.
+    F : (3, 3). Start; within the first threshold of the truth on most right matches.
+    x1, x2 : (N, 2) float64. Matches, pixels, one-to-one. N < 8 returns `F`.
+    weights : (N,) float64. Probability of each match; 1 by default.
+    thresholds : Pixels, from wide to narrow.
+    score_threshold_px : Of the score that decides.
 
-    Returns
-    -------
-    ndarray, shape (3, 3), float64
-        Normalised as by `normalise_fundamental`.
+    Returns: (3, 3) float64. Normalised as by `normalise_fundamental`.
 
-    References
-    ----------
-    Shrinking thresholds: local optimisation of LO-RANSAC (Chum, Matas and Kittler, DAGM 2003) and of USAC.
+    References: Shrinking thresholds: local optimisation of LO-RANSAC (Chum, Matas and Kittler, DAGM 2003) and of USAC.
     Weighing by the probabilities of the matches is ours.
     """
     w = np.ones(len(x1)) if weights is None else np.asarray(weights, dtype=np.float64)

@@ -80,16 +80,11 @@ class FeatureSettings:
 
     Parameters
     ----------
-    detector : str
-        ``sift`` (OpenCV) or ``colmap-sift`` (VLFeat's, through pycolmap).
-    max_image_size : int
-        Longer side at which the image is worked on, pixels, >= 64.
-    max_keypoints : int
-        Number of strongest features kept, >= 8.
-    root : bool
-        RootSIFT (Arandjelovic and Zisserman, 2012): the square root of the L1-normalised descriptor.
-    centred : bool
-        Subtract the descriptor's mean, so that the inner product is the normalised cross-correlation.
+    detector : ``sift`` (OpenCV) or ``colmap-sift`` (VLFeat's, through pycolmap).
+    max_image_size : Longer side at which the image is worked on, pixels, >= 64.
+    max_keypoints : Number of strongest features kept, >= 8.
+    root : RootSIFT (Arandjelovic and Zisserman, 2012): the square root of the L1-normalised descriptor.
+    centred : Subtract the descriptor's mean, so that the inner product is the normalised cross-correlation.
     """
 
     detector: str = "sift"
@@ -109,32 +104,20 @@ class PreprocessSettings:
 
     Parameters
     ----------
-    name : str
-        Of the preset, and of the model that belongs to it.
-    features : FeatureSettings
-        Section 4.1.
-    max_distance_ratio : float
-        X_L keeps matches up to this d_r (section 4.1).
-    roll_bandwidth_deg : float
-        Width of the kernel of the roll's density, degrees (section 4.2).
-    merge_rolls_deg : float
-        One roll hypothesis, 0, where alpha_exp is within this many degrees of it; 0: always both (section 4.2).
-    min_cluster_similarity : float
-        Clusters stop merging below this similarity (section 4.2).
-    max_matches_per_cluster_pair : int
-        Ours; see `putative_matches` (section 4.3).
-    nearest, within, nearest_of_cluster : int, float, int
-        K_1, K_2 and K_3 (section 4.4).
-    max_within : int
-        Ours; see `neighbourhoods` (section 4.4).
-    two_keypoint_count : int
-        K_2kp (section 4.4).
-    frame, frame_radius : str, float
-        Of the rough fundamental matrices; see `frame_points` (section 4.5).
-    vote_threshold : float
-        Sampson distance below which a match supports a matrix, working pixels (section 4.5).
-    two_keypoint_columns, match_columns : tuple of str
-        Of 2kpmd and kpmd (sections 4.4 and 4.6).
+    name : Of the preset, and of the model that belongs to it.
+    features : Section 4.1.
+    max_distance_ratio : X_L keeps matches up to this d_r (section 4.1).
+    roll_bandwidth_deg : Width of the kernel of the roll's density, degrees (section 4.2).
+    merge_rolls_deg : One roll hypothesis, 0, where alpha_exp is within this many degrees of it; 0: always both (section
+        4.2).
+    min_cluster_similarity : Clusters stop merging below this similarity (section 4.2).
+    max_matches_per_cluster_pair : Ours; see `putative_matches` (section 4.3).
+    nearest, within, nearest_of_cluster : K_1, K_2 and K_3 (section 4.4).
+    max_within : Ours; see `neighbourhoods` (section 4.4).
+    two_keypoint_count : K_2kp (section 4.4).
+    frame, frame_radius : Of the rough fundamental matrices; see `frame_points` (section 4.5).
+    vote_threshold : Sampson distance below which a match supports a matrix, working pixels (section 4.5).
+    two_keypoint_columns, match_columns : Of 2kpmd and kpmd (sections 4.4 and 4.6).
     """
 
     name: str

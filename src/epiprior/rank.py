@@ -36,28 +36,21 @@ def rank_matches(
 
     Parameters
     ----------
-    image1, image2 : path, ndarray or Photograph
-        The photographs: a file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA. None where
-        features are handed in and no image is at hand.
-    preset : str
-        ``default``, the best that we measured, or ``paper``, the paper as printed.
-    features1, features2 : Features, optional
-        Features of the caller's own, instead of detected ones.
-    settings : PreprocessSettings, optional
-        Instead of the preset's.
-    model : RankingModel, optional
-        Instead of the preset's own.
+    image1, image2 : The photographs: a file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4)
+        RGBA. None where features are handed in and no image is at hand.
+    preset : ``default``, the best that we measured, or ``paper``, the paper as printed.
+    features1, features2 : Features of the caller's own, instead of detected ones.
+    settings : Instead of the preset's.
+    model : Instead of the preset's own.
 
     Returns
     -------
-    RankedMatches
-        One `MatchSet` per roll hypothesis, each sorted best first: by probability, then sfm, then d_r. Empty sets for
-        images without texture.
+    One `MatchSet` per roll hypothesis, each sorted best first: by probability, then sfm, then d_r. Empty sets for
+    images without texture.
 
     Raises
     ------
-    ImageError, FeatureError, SettingsError, ModelError
-        For input that cannot be used; the message names it.
+    ImageError, FeatureError, SettingsError, ModelError : For input that cannot be used; the message names it.
 
     References
     ----------

@@ -27,10 +27,7 @@ def find_settings_file(name: str) -> Path | None:
 def read_settings_file(path: Path) -> dict[str, Any]:
     """Return the object that a JSON file holds.
 
-    Raises
-    ------
-    SettingsError
-        If it cannot be read, is no JSON, or holds no object.
+    Raises SettingsError if it cannot be read, is no JSON, or holds no object.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -46,10 +43,8 @@ def read_settings_file(path: Path) -> dict[str, Any]:
 def parse_settings(where: str, values: object, usual: Settings) -> Settings:
     """Return a dataclass of settings with the values that a file names; the others are those of `usual`.
 
-    Raises
-    ------
-    SettingsError
-        If the values are no object, name a field that does not exist, or are out of range; the message begins `where`.
+    Raises SettingsError if the values are no object, name a field that does not exist, or are out of range; the message
+    begins `where`.
     """
     if not isinstance(values, dict):
         raise SettingsError(f"{where}: {type(values).__name__}, expected an object")

@@ -40,46 +40,32 @@ def estimate_fundamental(
 
     Parameters
     ----------
-    image1, image2 : path, ndarray, Photograph or None
-        The photographs: a file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA. None
-        only where features are handed in, see `rank_matches`.
-    estimator : str
-        Name of a robust estimator, see `epiprior.list_estimators`; by default the one that did best.
-    mode : str
-        ``preprocess``: matches are ranked by `rank_matches` first. ``standard``: the standard matches X_L, the
+    image1, image2 : The photographs: a file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4)
+        RGBA. None only where features are handed in, see `rank_matches`.
+    estimator : Name of a robust estimator, see `epiprior.list_estimators`; by default the one that did best.
+    mode : ``preprocess``: matches are ranked by `rank_matches` first. ``standard``: the standard matches X_L, the
         baseline; for `generalized-ransac` those of `generalized_matches`. ``cascade``: the standard matches first; the
         ranked ones only if `rule` does not keep that estimate. Features are found once for both.
-    preset : str
-        ``default`` or ``paper``.
-    seed : int
-        >= 0; the same seed gives the same bytes.
-    threshold_px : float, optional
-        Inlier threshold, instead of the hand-over's. Like all thresholds it is meant at working size: an
+    preset : ``default`` or ``paper``.
+    seed : >= 0; the same seed gives the same bytes.
+    threshold_px : Inlier threshold, instead of the hand-over's. Like all thresholds it is meant at working size: an
         image larger than the preset's `max_image_size` (1024) is measured as if it had that size.
-    features1, features2 : Features, optional
-        Used instead of detected ones, pixels of the images as given.
-    ranked : RankedMatches, optional
-        From an earlier `rank_matches` on these images, to save the time.
-    hand_over : HandOver, optional
-        Instead of the one that was chosen on validation scenes for this estimator and input. A cascade has two
+    features1, features2 : Used instead of detected ones, pixels of the images as given.
+    ranked : From an earlier `rank_matches` on these images, to save the time.
+    hand_over : Instead of the one that was chosen on validation scenes for this estimator and input. A cascade has two
         inputs and takes none.
-    rule : CascadeRule, optional
-        Of the cascade, instead of the one that was chosen on validation scenes.
-    settings : PreprocessSettings, optional
-        Instead of the preset's. Standard matches are made of the same features.
+    rule : Of the cascade, instead of the one that was chosen on validation scenes.
+    settings : Instead of the preset's. Standard matches are made of the same features.
 
     Returns
     -------
-    FundamentalEstimate
-        `x1`, `x2`, `inliers` and `F` in pixels of the images as given. `input` tells which matches it comes from.
-        A cascade that did not keep the estimate on standard matches counts the seconds of that attempt as
-        ``standard input``, beside those of the second. It returns the second estimate, except where only the
-        first has an F.
+    `x1`, `x2`, `inliers` and `F` in pixels of the images as given. `input` tells which matches it comes from. A cascade
+    that did not keep the estimate on standard matches counts the seconds of that attempt as ``standard input``, beside
+    those of the second. It returns the second estimate, except where only the first has an F.
 
     Raises
     ------
-    ImageError, ModelError, SettingsError, EstimatorError
-        For input that cannot be used; the message names it.
+    ImageError, ModelError, SettingsError, EstimatorError : For input that cannot be used; the message names it.
 
     References
     ----------

@@ -1,8 +1,8 @@
 """The values that pass between the steps of the method.
 
-Conventions, everywhere: points are ``(N, 2)`` float64 pixels of the image as given, the centre of the
-top-left pixel at (0, 0); ``x2' F x1 = 0``; residuals are unsquared pixels; scale is the sigma of the feature in
-pixels; public angles are degrees, clockwise as seen on the screen (y points down), in [0, 360).
+Conventions, everywhere: points are ``(N, 2)`` float64 pixels of the image as given, the centre of the top-left pixel at
+(0, 0); ``x2' F x1 = 0``; residuals are unsquared pixels; scale is the sigma of the feature in pixels; public angles are
+degrees, clockwise as seen on the screen (y points down), in [0, 360).
 """
 
 from __future__ import annotations
@@ -56,21 +56,16 @@ class Features:
 
     Parameters
     ----------
-    xy : ndarray, shape (N, 2), float64
-        Locations, pixels.
-    scale : ndarray, shape (N,), float64
-        Sigma, pixels, > 0. OpenCV's keypoint ``size`` is two sigma.
-    orientation_deg : ndarray, shape (N,), float64
-        Orientation, degrees in [0, 360).
-    descriptors : ndarray, shape (N, D), float32
-        Descriptors at the features' own orientation; for SIFT as OpenCV gives them, not normalised.
-    image_size : tuple of int
-        Width and height of the image, pixels, > 0.
+    xy : (N, 2) float64. Locations, pixels.
+    scale : (N,) float64. Sigma, pixels, > 0. OpenCV's keypoint ``size`` is two sigma.
+    orientation_deg : (N,) float64. Orientation, degrees in [0, 360).
+    descriptors : (N, D) float32. Descriptors at the features' own orientation; for SIFT as OpenCV gives them, not
+        normalised.
+    image_size : Width and height of the image, pixels, > 0.
 
     Raises
     ------
-    FeatureError
-        If shapes disagree, a value is not finite, or a scale or a side of the image is not positive.
+    FeatureError : If shapes disagree, a value is not finite, or a scale or a side of the image is not positive.
     """
 
     xy: FloatArray
@@ -117,33 +112,25 @@ class MatchSet:
 
     Parameters
     ----------
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matched locations, pixels of the given images.
-    scale1, scale2 : ndarray, shape (N,), float64
-        Sigma of both features, pixels.
-    orientation1_deg, orientation2_deg : ndarray, shape (N,), float64
-        Orientation of both features, degrees.
-    feature1, feature2 : ndarray, shape (N,), int64
-        Index of the matched features, as found or handed in; a feature may take part in many matches. Features that
-        differ only in orientation are one: all have the index of the first.
-    probability : ndarray, shape (N,), float64
-        Probability that the match is right, in [0, 1]. For standard matches, which carry none, it is NaN.
-    supporting_matrices : ndarray, shape (N,), int64
-        How many rough fundamental matrices the match supports: the paper's ``sfm`` (section 4.5); 0 if none.
-    distance_ratio : ndarray, shape (N,), float64
-        Ratio d_r of the angles to the nearest and the second nearest descriptor (section 4.1); 1 if missing.
-    similarity_weight : ndarray, shape (N,), float64
-        Similarity weight t_k of BLOGS (section 4.1); 0 if missing.
-    similarity : ndarray, shape (N,), float64
-        Normalised cross-correlation of the descriptors at their own orientation, in [-1, 1].
-    two_keypoint_probability : ndarray, shape (N,), float64
-        Highest probability of the 2keypoint matches that hold the match (section 4.4); 0 if none does.
-    roll_deg : float
-        The roll hypothesis alpha under which X was made (section 4.2), degrees.
-    rough_matrices : ndarray, shape (M, 3, 3), float64
-        The rough fundamental matrices that voted (section 4.5); empty for standard matches.
-    image_sizes : tuple, optional
-        Width and height of both images, pixels; None if unknown.
+    x1, x2 : (N, 2) float64. Matched locations, pixels of the given images.
+    scale1, scale2 : (N,) float64. Sigma of both features, pixels.
+    orientation1_deg, orientation2_deg : (N,) float64. Orientation of both features, degrees.
+    feature1, feature2 : (N,) int64. Index of the matched features, as found or handed in; a feature may take part in
+        many matches. Features that differ only in orientation are one: all have the index of the first.
+    probability : (N,) float64. Probability that the match is right, in [0, 1]. For standard matches, which carry none,
+        it is NaN.
+    supporting_matrices : (N,) int64. How many rough fundamental matrices the match supports: the paper's ``sfm``
+        (section 4.5); 0 if none.
+    distance_ratio : (N,) float64. Ratio d_r of the angles to the nearest and the second nearest descriptor (section
+        4.1); 1 if missing.
+    similarity_weight : (N,) float64. Similarity weight t_k of BLOGS (section 4.1); 0 if missing.
+    similarity : (N,) float64. Normalised cross-correlation of the descriptors at their own orientation, in [-1, 1].
+    two_keypoint_probability : (N,) float64. Highest probability of the 2keypoint matches that hold the match (section
+        4.4); 0 if none does.
+    roll_deg : The roll hypothesis alpha under which X was made (section 4.2), degrees.
+    rough_matrices : (M, 3, 3) float64. The rough fundamental matrices that voted (section 4.5); empty for standard
+        matches.
+    image_sizes : Width and height of both images, pixels; None if unknown.
     """
 
     x1: FloatArray
@@ -186,14 +173,10 @@ class RankedMatches:
 
     Parameters
     ----------
-    sets : tuple of MatchSet
-        One per roll hypothesis (section 4.2), each sorted best first.
-    standard : MatchSet
-        X_L, the baseline, ordered by distance ratio.
-    seconds : mapping of str to float
-        Wall time per step.
-    preset : str
-        Name of the preset.
+    sets : One per roll hypothesis (section 4.2), each sorted best first.
+    standard : X_L, the baseline, ordered by distance ratio.
+    seconds : Wall time per step.
+    preset : Name of the preset.
     """
 
     sets: tuple[MatchSet, ...]
@@ -217,38 +200,25 @@ class FundamentalEstimate:
 
     Parameters
     ----------
-    status : Status
-        ``ok``, ``too_few_matches``, ``no_model`` or ``degenerate``.
-    F : ndarray, shape (3, 3), float64, or None
-        ``x2' F x1 = 0``; rank 2, Frobenius norm 1, largest entry positive. None unless `status` is ``ok``.
-    raw_F : ndarray, shape (3, 3), float64, or None
-        F before it was verified, in the same form; None if the estimator gave none. For measuring an estimator: whether
-        to trust F is what `status` says.
-    x1, x2 : ndarray, shape (N, 2), float64
-        The matches over which support was collected, pixels.
-    inliers : ndarray, shape (N,), bool
-        Which of them lie within the threshold of `F`, recomputed by epiprior; all False without `F`.
-    support : int
-        Number of inliers.
-    iterations : int or None
-        Number of hypotheses, where the backend tells.
-    estimator, version : str
-        Name in the registry, and the backend's package and version.
-    roll_deg : float
-        The roll hypothesis of `F`, degrees.
-    input : str
-        What the estimator was given: ``standard`` (X_L), ``generalized`` (instead, for `generalized-ransac`), or the
-        preset that ranked the matches; empty if unknown.
-    message : str
-        Why `status` is not ``ok``; empty otherwise.
-    seconds : mapping of str to float
-        Wall time per step.
-    spread : int
-        Number of cells of 48 x 48 pixels at working size that hold inliers, in the image where they are fewer
+    status : ``ok``, ``too_few_matches``, ``no_model`` or ``degenerate``.
+    F : (3, 3) float64. ``x2' F x1 = 0``; rank 2, Frobenius norm 1, largest entry positive. None unless `status` is
+        ``ok``.
+    raw_F : (3, 3) float64. F before it was verified, in the same form; None if the estimator gave none. For measuring
+        an estimator: whether to trust F is what `status` says.
+    x1, x2 : (N, 2) float64. The matches over which support was collected, pixels.
+    inliers : (N,) bool. Which of them lie within the threshold of `F`, recomputed by epiprior; all False without `F`.
+    support : Number of inliers.
+    iterations : Number of hypotheses, where the backend tells.
+    estimator, version : Name in the registry, and the backend's package and version.
+    roll_deg : The roll hypothesis of `F`, degrees.
+    input : What the estimator was given: ``standard`` (X_L), ``generalized`` (instead, for `generalized-ransac`), or
+        the preset that ranked the matches; empty if unknown.
+    message : Why `status` is not ``ok``; empty otherwise.
+    seconds : Wall time per step.
+    spread : Number of cells of 48 x 48 pixels at working size that hold inliers, in the image where they are fewer
         (`epiprior.verification.spread`).
-    plausibility : float
-        Whether two ordinary cameras can have `raw_F`, in [0, 1] (`epiprior.verification.plausibility`); independent of
-        the matches. NaN without an F, and where the sizes of the images are unknown.
+    plausibility : Whether two ordinary cameras can have `raw_F`, in [0, 1] (`epiprior.verification.plausibility`);
+        independent of the matches. NaN without an F, and where the sizes of the images are unknown.
     """
 
     status: Status

@@ -31,23 +31,16 @@ class EpipriorEstimator:
 
     Parameters
     ----------
-    max_iterations : int
-        Samples of eight matches from the head of the ranking.
-    head : int
-        So many one-to-one matches choose and refine hypotheses.
-    kept_rough, kept_other : int
-        So many of the rough matrices, and of each other source, are refined: no source crowds out another.
-    oriented : int
-        Every two of so many best matches give a hypothesis.
-    mended, plane_matches : int
-        So many of the best are tested for a dominant plane, and so many matches off it try its epipole.
-    leaders, inner_samples : int
-        So many different ones of the best are optimised, by so many inner samples each.
-    same_share : float
-        Two hypotheses are the same where their supporters are so, in [0, 1]: the intersection over the union.
+    max_iterations : Samples of eight matches from the head of the ranking.
+    head : So many one-to-one matches choose and refine hypotheses.
+    kept_rough, kept_other : So many of the rough matrices, and of each other source, are refined: no source crowds out
+        another.
+    oriented : Every two of so many best matches give a hypothesis.
+    mended, plane_matches : So many of the best are tested for a dominant plane, and so many matches off it try its
+        epipole.
+    leaders, inner_samples : So many different ones of the best are optimised, by so many inner samples each.
+    same_share : Two hypotheses are the same where their supporters are so, in [0, 1]: the intersection over the union.
 
-    Notes
-    -----
     Deterministic: the seed changes nothing.
 
     Every choice among refined hypotheses follows one score: what the matches say, each part of the images once

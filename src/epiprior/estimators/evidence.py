@@ -27,14 +27,10 @@ class Evidence:
 
     Parameters
     ----------
-    columns : ndarray, shape (4, N), float32
-        Matches, pixels from `centre1` and `centre2`, sorted by group.
-    weights : ndarray, shape (N,), float32
-        What a match is worth at distance zero.
-    group : ndarray, shape (N,), int64
-        Of the matches of one group only the best counts; ascending.
-    centre1, centre2 : ndarray, shape (2,), float64
-        Means of the points: single precision is then exact enough.
+    columns : (4, N) float32. Matches, pixels from `centre1` and `centre2`, sorted by group.
+    weights : (N,) float32. What a match is worth at distance zero.
+    group : (N,) int64. Of the matches of one group only the best counts; ascending.
+    centre1, centre2 : (2,) float64. Means of the points: single precision is then exact enough.
     """
 
     columns: Float32Array
@@ -73,17 +69,11 @@ def spread_evidence(F: FloatArray, matches: MatchSet, threshold_px: float = SCOR
 
     Parameters
     ----------
-    F : ndarray, shape (3, 3)
-        Fundamental matrix.
-    matches : MatchSet
-        Many-to-many as they are; each feature speaks once, by its most probable match.
-    threshold_px : float
-        Sampson distance at which a match says nothing.
+    F : (3, 3). Fundamental matrix.
+    matches : Many-to-many as they are; each feature speaks once, by its most probable match.
+    threshold_px : Sampson distance at which a match says nothing.
 
-    Returns
-    -------
-    float
-        >= 0. It may be compared between roll hypotheses of one pair.
+    Returns: >= 0. It may be compared between roll hypotheses of one pair.
     """
     single = matches.one_to_one()
     weights = match_weights(single, prior_probability(single))

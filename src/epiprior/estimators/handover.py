@@ -29,25 +29,18 @@ class HandOver:
 
     Parameters
     ----------
-    one_to_one : bool
-        Walk down the ranking and skip a match whose feature was used before.
-    top_k : int or None
-        At most so many matches, >= 8.
-    max_distance_ratio : float or None
-        Only matches with d_r up to this, in (0, 1].
-    threshold_px : float
-        Inlier threshold of the estimator, working pixels, > 0.
-    collect : bool
-        Collect support again over all one-to-one matches of the set, and let what they say for F
-        (`epiprior.estimators.evidence`) decide between roll hypotheses. False: the number of inliers among the
-        matches handed over (the paper).
-    refine : bool
-        Refine F on the matches that support is collected from, weighted by their probabilities.
+    one_to_one : Walk down the ranking and skip a match whose feature was used before.
+    top_k : At most so many matches, >= 8.
+    max_distance_ratio : Only matches with d_r up to this, in (0, 1].
+    threshold_px : Inlier threshold of the estimator, working pixels, > 0.
+    collect : Collect support again over all one-to-one matches of the set, and let what they say for F
+        (`epiprior.estimators.evidence`) decide between roll hypotheses. False: the number of inliers among the matches
+        handed over (the paper).
+    refine : Refine F on the matches that support is collected from, weighted by their probabilities.
 
     Raises
     ------
-    SettingsError
-        If a value is out of its range.
+    SettingsError : If a value is out of its range.
     """
 
     one_to_one: bool = False
@@ -88,17 +81,12 @@ def default_hand_over(estimator: str, kind: str) -> HandOver:
 
     Parameters
     ----------
-    estimator : str
-        Name in the registry. Those that weigh matches get most of a ranking, those that sample in order fewer, those
-        that take no prior the fewest.
-    kind : str
-        Input: ``standard`` (X_L), ``snn``, ``generalized`` (all matches above a similarity), ``paper`` or ``default``
-        (the presets).
+    estimator : Name in the registry. Those that weigh matches get most of a ranking, those that sample in order fewer,
+        those that take no prior the fewest.
+    kind : Input: ``standard`` (X_L), ``snn``, ``generalized`` (all matches above a similarity), ``paper`` or
+        ``default`` (the presets).
 
-    Raises
-    ------
-    SettingsError
-        If `kind` is another.
+    Raises SettingsError if `kind` is another.
     """
     if kind not in INPUTS:
         raise SettingsError(f"input is {kind!r}, known: {', '.join(INPUTS)}")
@@ -117,14 +105,10 @@ def load_hand_overs(path: Path | None = None) -> dict[str, dict[str, HandOver]]:
 
     Parameters
     ----------
-    path : Path, optional
-        JSON of the form ``{estimator: {input: {field: value}}}``; what it leaves out keeps the value of
+    path : JSON of the form ``{estimator: {input: {field: value}}}``; what it leaves out keeps the value of
         `default_hand_over`. None: the file that comes with the models, if there is one.
 
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, or names an estimator, input or field that does not exist.
+    Raises SettingsError if the file cannot be read, or names an estimator, input or field that does not exist.
     """
     table = {name: {kind: default_hand_over(name, kind) for kind in INPUTS} for name in names()}
     found = path if path is not None else find_hand_overs()

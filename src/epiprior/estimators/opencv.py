@@ -1,8 +1,8 @@
 """OpenCV's USAC framework: ``usac``, ``magsac++`` and ``gc-ransac``.
 
-All three sample progressively (PROSAC), so the order of the matches is the prior they use. The random draw
-depends on ``UsacParams.randomGeneratorState`` only; ``cv2.setRNGSeed`` does nothing here. Works with OpenCV
-4.13 and later, and with 5.
+All three sample progressively (PROSAC), so the order of the matches is the prior they use. The random draw depends on
+``UsacParams.randomGeneratorState`` only; ``cv2.setRNGSeed`` does nothing here. Works with OpenCV 4.13 and later, and
+with 5.
 """
 
 from __future__ import annotations
@@ -22,20 +22,15 @@ class OpenCVEstimator:
 
     Parameters
     ----------
-    name : str
-        Name in the registry.
-    score, local_optimisation, polisher : int
-        OpenCV's ``SCORE_METHOD_*``, ``LOCAL_OPTIM_*`` and ``*_POLISHER`` constants.
-    max_iterations : int
-        Cap on the hypotheses. A compromise: on standard matches of 128 real pairs caps of 5,000, 20,000 and
-        100,000 gave 108.5, 110 and 111.5 successes (10 px) at a mean of 9, 17 and 56 ms; on short, well
-        ordered lists there was no difference.
+    name : Name in the registry.
+    score, local_optimisation, polisher : OpenCV's ``SCORE_METHOD_*``, ``LOCAL_OPTIM_*`` and ``*_POLISHER`` constants.
+    max_iterations : Cap on the hypotheses. A compromise: on standard matches of 128 real pairs caps of 5,000, 20,000
+        and 100,000 gave 108.5, 110 and 111.5 successes (10 px) at a mean of 9, 17 and 56 ms; on short, well ordered
+        lists there was no difference.
 
-    Notes
-    -----
-    ``usac`` follows the example for F that comes with the USAC 1.0 release as far as OpenCV can: PROSAC,
-    local optimisation by inner samples of 15 repeated 5 times followed by iterations, 1.5 px, confidence
-    0.99. OpenCV runs SPRT inside and has no switch for it; its check of degenerate samples is its own.
+    ``usac`` follows the example for F that comes with the USAC 1.0 release as far as OpenCV can: PROSAC, local
+    optimisation by inner samples of 15 repeated 5 times followed by iterations, 1.5 px, confidence 0.99. OpenCV runs
+    SPRT inside and has no switch for it; its check of degenerate samples is its own.
     """
 
     name: str

@@ -28,15 +28,11 @@ class OptionalEstimator:
 
     Parameters
     ----------
-    name : str
-        Name in the registry.
-    package, requirement : str
-        What is imported, and what ``pip install`` is told.
-    run : callable
-        Takes matches, settings, the cap on the hypotheses and the seed; returns F, if any, and the number of hypotheses
-        drawn, if it is known.
-    max_iterations : int
-        Cap on the hypotheses.
+    name : Name in the registry.
+    package, requirement : What is imported, and what ``pip install`` is told.
+    run : Takes matches, settings, the cap on the hypotheses and the seed; returns F, if any, and the number of
+        hypotheses drawn, if it is known.
+    max_iterations : Cap on the hypotheses.
     """
 
     name: str

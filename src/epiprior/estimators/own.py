@@ -44,33 +44,22 @@ class Recipe:
 
     Parameters
     ----------
-    kind : int
-        `SUPPORT`, `LIKELIHOOD` or `KERNEL` of `epiprior.kernels.scores`.
-    weighted : bool
-        Whether a match counts by its probability in the score and in local optimisation. Where matches carry none, all
-        count alike: a prior from descriptors alone is too weak, measured on validation scenes. The likelihood always
-        knows the prior.
-    oriented : float
-        Share of two oriented matches among the global samples, in [0, 1]; the others are seven matches.
-    local : int
-        `NO_LOCAL`, `FROM_SUPPORT` or `FROM_JOINT_DENSITY`: whence local samples of seven are drawn.
-    local_share, local_growth : float
-        Share of local proposals once there is a model, ``local_share + local_growth * mass`` where mass is
-        the share of the prior that supports the best model: an estimate of its quality.
-    mixed_share : float
-        Of the local proposals, the share that joins supporters and non-supporters.
-    skip_planes : bool
-        Whether a sample of seven, six of which agree with one homography, is ruled out.
-    raw_factor : float
-        Hypotheses are compared at so many times the threshold before they are optimised, >= 1: rough ones
+    kind : `SUPPORT`, `LIKELIHOOD` or `KERNEL` of `epiprior.kernels.scores`.
+    weighted : Whether a match counts by its probability in the score and in local optimisation. Where matches carry
+        none, all count alike: a prior from descriptors alone is too weak, measured on validation scenes. The likelihood
+        always knows the prior.
+    oriented : Share of two oriented matches among the global samples, in [0, 1]; the others are seven matches.
+    local : `NO_LOCAL`, `FROM_SUPPORT` or `FROM_JOINT_DENSITY`: whence local samples of seven are drawn.
+    local_share, local_growth : Share of local proposals once there is a model, ``local_share + local_growth * mass``
+        where mass is the share of the prior that supports the best model: an estimate of its quality.
+    mixed_share : Of the local proposals, the share that joins supporters and non-supporters.
+    skip_planes : Whether a sample of seven, six of which agree with one homography, is ruled out.
+    raw_factor : Hypotheses are compared at so many times the threshold before they are optimised, >= 1: rough ones
         would look all alike at the threshold itself.
-    good_sample_share : float
-        Of the samples of right matches, how many give an F that local optimisation can mend; enters the
+    good_sample_share : Of the samples of right matches, how many give an F that local optimisation can mend; enters the
         stopping rule.
-    min_iterations : int
-        Hypotheses drawn before the loop may stop.
-    repeats : int
-        Inner samples of local optimisation.
+    min_iterations : Hypotheses drawn before the loop may stop.
+    repeats : Inner samples of local optimisation.
     """
 
     kind: int
@@ -93,14 +82,10 @@ class LoopEstimator:
 
     Parameters
     ----------
-    name : str
-        Name in the registry.
-    recipe : Recipe
-        Its parts.
-    prior : callable
-        Gives the weight of each match in sampling, shape (N,), in [0, 1].
-    max_iterations : int
-        Cap on the samples drawn; a sample may give up to three hypotheses.
+    name : Name in the registry.
+    recipe : Its parts.
+    prior : Gives the weight of each match in sampling, shape (N,), in [0, 1].
+    max_iterations : Cap on the samples drawn; a sample may give up to three hypotheses.
     """
 
     name: str
@@ -145,16 +130,11 @@ def search(
 
     Parameters
     ----------
-    matches : MatchSet
-        Best first: the order does not enter the result's distribution, but the score bails out earlier.
-    prior : ndarray, shape (N,), float64
-        Weight of each match in sampling, >= 0; in [0, 1] where the recipe weighs scores by it.
-    recipe : Recipe
-        The estimator.
-    threshold_px : float
-        Inlier threshold; the standard deviation of an inlier's distance is taken to be half of it.
-    confidence, max_iterations, seed
-        As for an estimator.
+    matches : Best first: the order does not enter the result's distribution, but the score bails out earlier.
+    prior : (N,) float64. Weight of each match in sampling, >= 0; in [0, 1] where the recipe weighs scores by it.
+    recipe : The estimator.
+    threshold_px : Inlier threshold; the standard deviation of an inlier's distance is taken to be half of it.
+    confidence, max_iterations, seed : As for an estimator.
     """
     conditioned = condition(matches)
     sigma = threshold_px / conditioned.unit_px
@@ -185,14 +165,10 @@ class Conditioned:
 
     Parameters
     ----------
-    columns : ndarray, shape (4, N), float64
-        x and y in image 1, x and y in image 2, centred and divided by `unit_px`.
-    frames : ndarray, shape (4, N), float64
-        Scale in image 1 and 2 in units, orientation in image 1 and 2 in radians.
-    centre1, centre2 : ndarray, shape (2,), float64
-        What was subtracted, pixels.
-    unit_px : float
-        Pixels per unit, the same for both images.
+    columns : (4, N) float64. x and y in image 1, x and y in image 2, centred and divided by `unit_px`.
+    frames : (4, N) float64. Scale in image 1 and 2 in units, orientation in image 1 and 2 in radians.
+    centre1, centre2 : (2,) float64. What was subtracted, pixels.
+    unit_px : Pixels per unit, the same for both images.
     """
 
     columns: FloatArray

@@ -22,22 +22,15 @@ def oriented_pairs(matches: MatchSet, count: int, min_distance_px: float) -> Flo
 
     Parameters
     ----------
-    matches : MatchSet
-        N matches, best first, one-to-one.
-    count : int
-        So many of them take part.
-    min_distance_px : float
-        Two matches nearer to each other say too little of F.
+    matches : N matches, best first, one-to-one.
+    count : So many of them take part.
+    min_distance_px : Two matches nearer to each other say too little of F.
 
-    Returns
-    -------
-    ndarray, shape (P, 3, 3), float64
-        Eight-point estimates from each match and three points around it, by the scale and orientation of its features.
+    Returns: (P, 3, 3) float64. Eight-point estimates from each match and three points around it, by the scale and
+    orientation of its features.
 
-    References
-    ----------
-    BEEM-style, our interpretation of Goshen and Shimshoni, TPAMI 2008: three points at angles 120 degrees apart, six
-    sigma away.
+    References: BEEM-style, our interpretation of Goshen and Shimshoni, TPAMI 2008: three points at angles 120 degrees
+    apart, six sigma away.
     """
     head = matches.take(slice(count))
     i, j = np.triu_indices(len(head), 1)
@@ -63,16 +56,11 @@ def progressive_rows(matches: int, samples: int) -> IntArray:
 
     Parameters
     ----------
-    matches : int
-        How many there are, >= 8.
-    samples : int
-        How many samples.
+    matches : How many there are, >= 8.
+    samples : How many samples.
 
-    Returns
-    -------
-    ndarray, shape (samples, 8), int64
-        Of the first samples all rows are among the best matches, of the last anywhere; the head grows by the same
-        factor from sample to sample (the schedule of PROSAC in its spirit; ours in its pace).
+    Returns: (samples, 8) int64. Of the first samples all rows are among the best matches, of the last anywhere; the
+    head grows by the same factor from sample to sample (the schedule of PROSAC in its spirit; ours in its pace).
     """
     rng = np.random.default_rng(_STATE)
     head = np.geomspace(min(2 * SAMPLE_SIZE, matches), matches, samples).astype(np.int64)
@@ -101,28 +89,18 @@ def plane_and_parallax(
 
     Parameters
     ----------
-    F : ndarray, shape (3, 3)
-        A hypothesis.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matches, pixels, one-to-one, best first.
-    threshold_px : float
-        Sampson distance below which a match supports F.
-    plane_px : float
-        Distance from the homography below which a match is of the plane.
-    count : int
-        So many of the best matches off the plane take part.
-    min_share : float
-        Least share of the support that must lie on one plane.
+    F : (3, 3). A hypothesis.
+    x1, x2 : (N, 2) float64. Matches, pixels, one-to-one, best first.
+    threshold_px : Sampson distance below which a match supports F.
+    plane_px : Distance from the homography below which a match is of the plane.
+    count : So many of the best matches off the plane take part.
+    min_share : Least share of the support that must lie on one plane.
 
-    Returns
-    -------
-    ndarray, shape (P, 3, 3), float64
-        ``[e']x H``, P = count (count - 1) / 2 at most; none where no plane holds enough of the support.
+    Returns: (P, 3, 3) float64. ``[e']x H``, P = count (count - 1) / 2 at most; none where no plane holds enough of the
+    support.
 
-    References
-    ----------
-    Chum, Werner and Matas, Two-view geometry estimation unaffected by a dominant plane, CVPR 2005; Hartley and
-    Zisserman, algorithm 13.2. That every two matches are tried, in place of samples, is ours.
+    References: Chum, Werner and Matas, Two-view geometry estimation unaffected by a dominant plane, CVPR 2005; Hartley
+    and Zisserman, algorithm 13.2. That every two matches are tried, in place of samples, is ours.
     """
     support = sampson_distance(F, x1, x2) < threshold_px
     H = fit_homography(x1[support], x2[support], plane_px)
@@ -140,10 +118,8 @@ def models_of_plane(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray
 
     Parameters
     ----------
-    H : ndarray, shape (3, 3)
-        Homography of the plane, ``x2 ~ H x1``.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matches off the plane.
+    H : (3, 3). Homography of the plane, ``x2 ~ H x1``.
+    x1, x2 : (N, 2) float64. Matches off the plane.
     """
     ones = np.ones((len(x1), 1))
     # The line through where the plane would have put a point and where it is holds the epipole.

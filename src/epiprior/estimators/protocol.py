@@ -19,18 +19,14 @@ class EstimatorSettings:
 
     Parameters
     ----------
-    threshold_px : float
-        Inlier threshold on the (unsquared) Sampson distance, pixels, > 0. Backends with another residual get
+    threshold_px : Inlier threshold on the (unsquared) Sampson distance, pixels, > 0. Backends with another residual get
         the same number; the mask is recomputed by epiprior in any case.
-    confidence : float
-        Wanted probability of having drawn an outlier-free sample, in (0, 1).
-    max_iterations : int or None
-        Cap on the hypotheses drawn, >= 1. None: the estimator's own (`Estimator.max_iterations`).
+    confidence : Wanted probability of having drawn an outlier-free sample, in (0, 1).
+    max_iterations : Cap on the hypotheses drawn, >= 1. None: the estimator's own (`Estimator.max_iterations`).
 
     Raises
     ------
-    SettingsError
-        If a value is out of its range.
+    SettingsError : If a value is out of its range.
     """
 
     threshold_px: float = 1.5
@@ -52,10 +48,8 @@ class RawModel:
 
     Parameters
     ----------
-    F : ndarray or None
-        What the backend returned: it may be a stack of matrices, zero, or not finite. None if it gave none.
-    iterations : int or None
-        Hypotheses drawn, where the backend tells.
+    F : What the backend returned: it may be a stack of matrices, zero, or not finite. None if it gave none.
+    iterations : Hypotheses drawn, where the backend tells.
     """
 
     F: FloatArray | None
@@ -65,9 +59,9 @@ class RawModel:
 class Estimator(Protocol):
     """One robust estimator of the fundamental matrix.
 
-    An estimator is called with distinct, finite matches in the order of the ranking, best first, and may use
-    of them what it can: the order, `MatchSet.probability`, scale and orientation, or the rough matrices. It
-    must be deterministic given `seed`, and must not raise because the matches are bad.
+    An estimator is called with distinct, finite matches in the order of the ranking, best first, and may use of them
+    what it can: the order, `MatchSet.probability`, scale and orientation, or the rough matrices. It must be
+    deterministic given `seed`, and must not raise because the matches are bad.
     """
 
     @property

@@ -41,10 +41,8 @@ def density(ratios: FloatArray, bandwidth: float = BANDWIDTH) -> FloatArray:
 
     Parameters
     ----------
-    ratios : ndarray, shape (N,), float64
-        In [0, 1], N >= 1.
-    bandwidth : float
-        Standard deviation of the Gaussian kernel; mass that leaves [0, 1] is reflected.
+    ratios : (N,) float64. In [0, 1], N >= 1.
+    bandwidth : Standard deviation of the Gaussian kernel; mass that leaves [0, 1] is reflected.
     """
     d = np.asarray(ratios, dtype=np.float64)
     total = np.zeros(len(_GRID))
@@ -60,15 +58,11 @@ def inlier_probability(distance_ratio: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    distance_ratio : ndarray, shape (N,), float64
-        d_r in [0, 1]; 1 where missing. Often cut at some ratio: both densities are normalised up to the
-        highest ratio that occurs.
+    distance_ratio : (N,) float64. d_r in [0, 1]; 1 where missing. Often cut at some ratio: both densities are
+        normalised up to the highest ratio that occurs.
 
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        ``m f_in / (m f_in + (1 - m) f_out)``, with the m in [0.01, 0.99] that expectation maximisation finds in
-        at most 50 steps.
+    Returns: (N,) float64. ``m f_in / (m f_in + (1 - m) f_out)``, with the m in [0.01, 0.99] that expectation
+    maximisation finds in at most 50 steps.
     """
     ratio = np.clip(np.asarray(distance_ratio, dtype=np.float64), 0.0, 1.0)
     if not len(ratio):

@@ -38,10 +38,7 @@ def licences() -> dict[str, str]:
 def find_estimator(name: str) -> Estimator:
     """Return the estimator called `name`, ready to run.
 
-    Raises
-    ------
-    EstimatorError
-        If there is none of that name, or its backend is not installed.
+    Raises EstimatorError if there is none of that name, or its backend is not installed.
     """
     estimator = _REGISTRY.get(name)
     if estimator is None:
@@ -58,16 +55,11 @@ class Fit:
 
     Parameters
     ----------
-    F : ndarray, shape (3, 3), float64, or None
-        Normalised; None where `status` is not ``ok``.
-    status : Status
-        ``ok``, ``too_few_matches`` or ``no_model``; `message` tells why.
-    iterations : int or None
-        Hypotheses drawn, where the backend tells.
-    version : str
-        The backend's package and version.
-    seconds : float
-        Wall time.
+    F : (3, 3) float64. Normalised; None where `status` is not ``ok``.
+    status : ``ok``, ``too_few_matches`` or ``no_model``; `message` tells why.
+    iterations : Hypotheses drawn, where the backend tells.
+    version : The backend's package and version.
+    seconds : Wall time.
     """
 
     F: FloatArray | None
@@ -83,24 +75,14 @@ def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSetti
 
     Parameters
     ----------
-    name : str
-        Name in the registry.
-    matches : MatchSet
-        Sorted best first. Of matches at identical points the first counts: repeated ones would make samples
+    name : Name in the registry.
+    matches : Sorted best first. Of matches at identical points the first counts: repeated ones would make samples
         singular, and count twice.
-    seed : int
-        >= 0; the same seed gives the same bytes.
-    settings : EstimatorSettings, optional
-        Threshold, confidence, cap on the iterations.
+    seed : >= 0; the same seed gives the same bytes.
+    settings : Threshold, confidence, cap on the iterations.
 
-    Raises
-    ------
-    EstimatorError
-        If the estimator is unknown or not installed.
-    FeatureError
-        If points are not finite or their numbers disagree.
-    SettingsError
-        If the seed is negative or no integer.
+    Raises EstimatorError if the estimator is unknown or not installed. Raises FeatureError if points are not finite or
+    their numbers disagree. Raises SettingsError if the seed is negative or no integer.
     """
     estimator = find_estimator(name)
     if not isinstance(seed, Integral) or seed < 0:

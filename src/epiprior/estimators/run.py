@@ -45,33 +45,20 @@ def estimate_from_matches(
 
     Parameters
     ----------
-    sets : sequence of MatchSet
-        One per roll hypothesis, at least one, each sorted best first; or a single set of standard matches.
-    estimator : str
-        Name in the registry.
-    seed : int
-        >= 0.
-    hand_over : HandOver
-        What the estimator gets of each set, and whether support is collected again and F refined.
-    settings : EstimatorSettings, optional
-        Instead of the estimator's own with the threshold of `hand_over`.
-    pixel_factors : tuple of float
-        Given pixels per working pixel in both images; thresholds are meant in working pixels.
+    sets : One per roll hypothesis, at least one, each sorted best first; or a single set of standard matches.
+    estimator : Name in the registry.
+    seed : >= 0.
+    hand_over : What the estimator gets of each set, and whether support is collected again and F refined.
+    settings : Instead of the estimator's own with the threshold of `hand_over`.
+    pixel_factors : Given pixels per working pixel in both images; thresholds are meant in working pixels.
 
-    Returns
-    -------
-    FundamentalEstimate
-        `iterations` adds up over the sets.
+    Returns: `iterations` adds up over the sets.
 
-    Raises
-    ------
-    EstimatorError, FeatureError, SettingsError
-        As `epiprior.estimators.fit` does; SettingsError also without any set.
+    Raises EstimatorError, FeatureError, SettingsError: as `epiprior.estimators.fit` does; SettingsError also without
+    any set.
 
-    Notes
-    -----
-    Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F
-    decides, each weighted by its probability and each part of the images once, times the plausibility of the cameras
+    Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F decides,
+    each weighted by its probability and each part of the images once, times the plausibility of the cameras
     (`epiprior.estimators.evidence`). A thousand improbable matches then weigh less than fifty good ones.
     """
     if not sets:

@@ -23,10 +23,8 @@ def compiled(function: Callable[..., Any] | None = None, /, **options: Any) -> A
 
     Parameters
     ----------
-    function : callable, optional
-        Left out where the decorator has options.
-    **options
-        Of ``numba.njit``.
+    function : Left out where the decorator has options.
+    **options : Of ``numba.njit``.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -53,12 +51,9 @@ def announce_compilation(kernel: Any, of: str, wait: str) -> None:
 
     Parameters
     ----------
-    kernel : dispatcher of numba
-        Stands for all kernels that are compiled along with it.
-    of : str
-        What they belong to.
-    wait : str
-        How long that takes on an ordinary machine.
+    kernel : dispatcher of numba. Stands for all kernels that are compiled along with it.
+    of : What they belong to.
+    wait : How long that takes on an ordinary machine.
     """
     if kernel in _asked:
         return

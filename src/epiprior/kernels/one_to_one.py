@@ -25,18 +25,11 @@ def one_to_one_mask(feature1: NDArray[np.int64], feature2: NDArray[np.int64]) ->
 
     Parameters
     ----------
-    feature1, feature2 : ndarray, shape (N,), int
-        Features of the matches, best match first; any numbers >= 0.
+    feature1, feature2 : (N,) int. Features of the matches, best match first; any numbers >= 0.
 
-    Returns
-    -------
-    ndarray, shape (N,), bool
-        A greedy matching: no match could be added to it.
+    Returns: (N,) bool. A greedy matching: no match could be added to it.
 
-    Raises
-    ------
-    FeatureError
-        If shapes disagree or a number is negative.
+    Raises FeatureError if shapes disagree or a number is negative.
     """
     first, second = np.asarray(feature1, dtype=np.int64), np.asarray(feature2, dtype=np.int64)
     if first.shape != second.shape or first.ndim != 1:

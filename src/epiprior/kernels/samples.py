@@ -1,7 +1,7 @@
 """Compiled samples: a random generator of our own, draws weighted by a prior, checks of what was drawn.
 
-Matches are columns of an array of shape (4, N): x and y in image 1, x and y in image 2. The state of the
-generator is an array of one uint64, which every draw advances; numpy's global state is never touched.
+Matches are columns of an array of shape (4, N): x and y in image 1, x and y in image 2. The state of the generator is
+an array of one uint64, which every draw advances; numpy's global state is never touched.
 
 References: splitmix64 (Steele, Lea and Flood, OOPSLA 2014); Chum, Werner and Matas, Epipolar geometry estimation via
 RANSAC benefits from the oriented epipolar constraint, ICPR 2004, and Two-view geometry estimation unaffected by a

@@ -35,8 +35,8 @@ def score(F, columns, gain, rest, kind, sigma, limit, floor, work):  # type: ign
     """Return the score of `F`, or some number <= `floor` where the score is not above it.
 
     `gain`, shape (N,): what each match adds at most, or its odds for `LIKELIHOOD`. `rest`: what the blocks from each
-    block on add at most, from `attainable`. `sigma`: t for `SUPPORT`. Matches farther than `limit` add nothing.
-    `work`, shape (2, BLOCK): scratch.
+    block on add at most, from `attainable`. `sigma`: t for `SUPPORT`. Matches farther than `limit` add nothing. `work`,
+    shape (2, BLOCK): scratch.
     """
     n = columns.shape[1]
     limit_sq, total = limit * limit, 0.0
@@ -115,12 +115,9 @@ def likelihood_odds(validity: NDArray[np.float64], sigma: float, width: float) -
 
     Parameters
     ----------
-    validity : ndarray, shape (N,), float64
-        Prior probability v of each match, in [0, 1]; kept to [0.001, 0.999].
-    sigma : float
-        Standard deviation of the distance of an inlier, whose density at 0 is ``sqrt(2 / pi) / sigma``.
-    width : float
-        Range w over which outliers are spread evenly, in the unit of `sigma`.
+    validity : (N,) float64. Prior probability v of each match, in [0, 1]; kept to [0.001, 0.999].
+    sigma : Standard deviation of the distance of an inlier, whose density at 0 is ``sqrt(2 / pi) / sigma``.
+    width : Range w over which outliers are spread evenly, in the unit of `sigma`.
     """
     v = np.clip(validity, 0.001, 0.999)
     odds: NDArray[np.float64] = v / (1 - v) * width * math.sqrt(2 / math.pi) / sigma

@@ -23,13 +23,11 @@ class CascadeRule:
 
     Parameters
     ----------
-    min_plausibility : float
-        Of F (`epiprior.verification.measures`), in [0, 1]. One that is not known counts as 0.
+    min_plausibility : Of F (`epiprior.verification.measures`), in [0, 1]. One that is not known counts as 0.
 
     Raises
     ------
-    SettingsError
-        If the value is out of its range.
+    SettingsError : If the value is out of its range.
 
     Notes
     -----
@@ -60,14 +58,10 @@ def load_cascade_rule(path: Path | None = None) -> CascadeRule:
 
     Parameters
     ----------
-    path : Path, optional
-        JSON of the form ``{"min_plausibility": ...}``. None: the file that comes with the models; where there is none,
-        the defaults of `CascadeRule`.
+    path : JSON of the form ``{"min_plausibility": ...}``. None: the file that comes with the models; where there is
+        none, the defaults of `CascadeRule`.
 
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, or names a value that does not exist or is out of range.
+    Raises SettingsError if the file cannot be read, or names a value that does not exist or is out of range.
     """
     found = path if path is not None else find_cascade_rule()
     return CascadeRule() if found is None else parse_settings(str(found), read_settings_file(found), CascadeRule())

@@ -1,13 +1,12 @@
 """Could random matches do as well? The null model behind the statuses ``no_model`` and ``degenerate``.
 
-The best of many hypotheses always finds supporters, even among pure noise: 11 of 100 random matches,
-measured. Whether a support means anything is a question of how many supporters random matches would give. How
-often one random match lies within the threshold of F is measured on the pair itself, by joining points of
-image 1 with points of image 2 that belong to other matches; this sees clustered points and epipoles inside
-the image, where a formula over the area of the image does not.
+The best of many hypotheses always finds supporters, even among pure noise: 11 of 100 random matches, measured. Whether
+a support means anything is a question of how many supporters random matches would give. How often one random match lies
+within the threshold of F is measured on the pair itself, by joining points of image 1 with points of image 2 that
+belong to other matches; this sees clustered points and epipoles inside the image, where a formula over the area of the
+image does not.
 
-References: the idea is that of a-contrario RANSAC (Moisan and Stival, IJCV 2004); the count of hypotheses is
-ours.
+References: the idea is that of a-contrario RANSAC (Moisan and Stival, IJCV 2004); the count of hypotheses is ours.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ _PRIOR_PAIRINGS = 50.0
 def distinct_count(x1: FloatArray, x2: FloatArray) -> int:
     """Return how many matches remain if those that share a point, in either image, count once.
 
-    The smaller of the numbers of distinct points in the two images: an upper bound, exact for one-to-one
-    matches.
+    The smaller of the numbers of distinct points in the two images: an upper bound, exact for one-to-one matches.
     """
     return min(len(first_of_equal(x)) for x in (x1, x2))
 
@@ -40,18 +38,13 @@ def chance_rate(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: flo
 
     Parameters
     ----------
-    F : ndarray, shape (3, 3)
-        Fundamental matrix.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matches, pixels; points of different rows are joined, about 20,000 pairings. N = 0 is allowed.
-    threshold_px : float
-        On the Sampson distance.
+    F : (3, 3). Fundamental matrix.
+    x1, x2 : (N, 2) float64. Matches, pixels; points of different rows are joined, about 20,000 pairings. N = 0 is
+        allowed.
+    threshold_px : On the Sampson distance.
 
-    Returns
-    -------
-    float
-        In (0, 1). Few matches give few pairings; the rate is then drawn towards that of a strip of the
-        threshold's width across the rectangle that the points fill.
+    Returns: In (0, 1). Few matches give few pairings; the rate is then drawn towards that of a strip of the threshold's
+    width across the rectangle that the points fill.
     """
     n = len(x1)
     if n < 2:
@@ -72,21 +65,14 @@ def beyond_chance(supporters: int, matches: int, rate: float, fitted: int, *, le
 
     Parameters
     ----------
-    supporters, matches : int
-        How many of how many matches agree with the hypothesis.
-    rate : float
-        Probability that a random match agrees with a hypothesis it did not make.
-    fitted : int
-        Matches that make a hypothesis and agree with it for free: 7 for F, 2 for an F given a plane.
-    level : float
-        How many hypotheses may be expected to reach `supporters` by chance, > 0.
+    supporters, matches : How many of how many matches agree with the hypothesis.
+    rate : Probability that a random match agrees with a hypothesis it did not make.
+    fitted : Matches that make a hypothesis and agree with it for free: 7 for F, 2 for an F given a plane.
+    level : How many hypotheses may be expected to reach `supporters` by chance, > 0.
 
-    Returns
-    -------
-    bool
-        True where fewer than `level` of the hypotheses are expected to reach `supporters` by chance. As many
-        hypotheses are counted as can be drawn, up to 100,000 (20,000 samples of up to three matrices each,
-        and their local optimisation).
+    Returns: True where fewer than `level` of the hypotheses are expected to reach `supporters` by chance. As many
+    hypotheses are counted as can be drawn, up to 100,000 (20,000 samples of up to three matrices each, and their local
+    optimisation).
     """
     free = matches - fitted
     if supporters <= fitted or free <= 0:
@@ -99,18 +85,12 @@ def expected_by_chance(agrees: BoolArray, rates: FloatArray, fitted: int) -> flo
 
     Parameters
     ----------
-    agrees : ndarray, shape (N,), bool
-        Which matches agree with the hypothesis. N = 0 is allowed.
-    rates : ndarray, shape (N,), float64
-        Probability of each that it agrees with a hypothesis it did not make, in [0, 1].
-    fitted : int
-        Matches that make a hypothesis and agree with it for free: of those that agree, the least probable.
+    agrees : (N,) bool. Which matches agree with the hypothesis. N = 0 is allowed.
+    rates : (N,) float64. Probability of each that it agrees with a hypothesis it did not make, in [0, 1].
+    fitted : Matches that make a hypothesis and agree with it for free: of those that agree, the least probable.
 
-    Returns
-    -------
-    float
-        In [0, `HYPOTHESES`]; ``inf`` where no more matches agree than make a hypothesis. What `beyond_chance` compares
-        with its level, for rates that are all alike.
+    Returns: In [0, `HYPOTHESES`]; ``inf`` where no more matches agree than make a hypothesis. What `beyond_chance`
+    compares with its level, for rates that are all alike.
     """
     supporters = np.flatnonzero(agrees)
     if len(supporters) <= fitted:

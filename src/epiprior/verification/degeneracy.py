@@ -1,8 +1,7 @@
 """Does anything decide F? Planar scenes, pure rotations, points on a line, identical images.
 
-A plane fixes F up to its epipole: every ``F = [e']x H`` explains the matches on it, and the two free numbers
-of the epipole are then fitted to whatever outliers lie about. Every estimator returns such an F with
-confidence and support.
+A plane fixes F up to its epipole: every ``F = [e']x H`` explains the matches on it, and the two free numbers of the
+epipole are then fitted to whatever outliers lie about. Every estimator returns such an F with confidence and support.
 """
 
 from __future__ import annotations
@@ -32,14 +31,10 @@ class DecidedLevels:
 
     Parameters
     ----------
-    expected : float
-        Fewer random hypotheses are expected to have as many supporters off the plane, > 0.
-    off_plane_share : float
-        Where more of the inliers lie off the plane, it is no dominant one, in [0, 1], and
-    expected_above_share : float
-        so many may be expected, > 0.
-    parallax : float
-        Noise has such a direction with a lower probability, in (0, 1).
+    expected : Fewer random hypotheses are expected to have as many supporters off the plane, > 0.
+    off_plane_share : Where more of the inliers lie off the plane, it is no dominant one, in [0, 1], and
+    expected_above_share : so many may be expected, > 0.
+    parallax : Noise has such a direction with a lower probability, in (0, 1).
     """
 
     expected: float = 1.0
@@ -57,12 +52,9 @@ class PlaneEvidence:
 
     Parameters
     ----------
-    on_plane, off_plane : int
-        Distinct inliers of F on its dominant plane, and off it.
-    expected : float
-        Random hypotheses that are expected to have as many inliers off the plane; ``inf`` below three.
-    parallax : float
-        Probability that residuals from the plane run along the epipolar lines by chance as often as they do.
+    on_plane, off_plane : Distinct inliers of F on its dominant plane, and off it.
+    expected : Random hypotheses that are expected to have as many inliers off the plane; ``inf`` below three.
+    parallax : Probability that residuals from the plane run along the epipolar lines by chance as often as they do.
     """
 
     on_plane: int
@@ -90,24 +82,14 @@ def why_degenerate(
 
     Parameters
     ----------
-    F : ndarray, shape (3, 3)
-        The estimate.
-    x1, x2 : ndarray, shape (N, 2), float64
-        All the matches that F was estimated from, inliers and outliers, pixels.
-    threshold_px : float
-        Inlier threshold on the Sampson distance.
-    rate : float, optional
-        `chance_rate` of these arguments, where it is known already.
-    levels : DecidedLevels
-        How much evidence off the plane decides F.
+    F : (3, 3). The estimate.
+    x1, x2 : (N, 2) float64. All the matches that F was estimated from, inliers and outliers, pixels.
+    threshold_px : Inlier threshold on the Sampson distance.
+    rate : `chance_rate` of these arguments, where it is known already.
+    levels : How much evidence off the plane decides F.
 
-    Returns
-    -------
-    str
-        ``""``, or a reason for a reader: identical images, points on a line, or one homography.
+    Returns: ``""``, or a reason for a reader: identical images, points on a line, or one homography.
 
-    Notes
-    -----
     The plane's homography is fitted robustly to the inliers of F; a match is of the plane up to 8/3 of the threshold,
     since at the threshold itself matches that are merely inaccurate would count as off it. F is decided if either
 
@@ -129,9 +111,7 @@ def why_degenerate(
     photographs 38 of 494 F with an error below 10 px are turned down; 24 of these have a wrong epipole, which control
     points on the plane do not show. Walls whose relief shifts few matches by a few pixels are turned down wrongly.
 
-    References
-    ----------
-    Hartley and Zisserman, section 11.1.2 (degenerate configurations); Chum, Werner and Matas, Two-view
+    References: Hartley and Zisserman, section 11.1.2 (degenerate configurations); Chum, Werner and Matas, Two-view
     geometry estimation unaffected by a dominant plane, CVPR 2005.
     """
     plane_px = threshold_px * 8.0 / 3.0
@@ -160,10 +140,8 @@ def plane_evidence(
 
     Parameters
     ----------
-    F, x1, x2, threshold_px, rate
-        As for `why_degenerate`.
-    plane_px : float
-        From this distance on a match lies off the plane, pixels.
+    F, x1, x2, threshold_px, rate : As for `why_degenerate`.
+    plane_px : From this distance on a match lies off the plane, pixels.
     """
     inliers = sampson_distance(F, x1, x2) < threshold_px
     H = fit_homography(x1[inliers], x2[inliers], plane_px)
@@ -222,10 +200,8 @@ def fit_homography(x1: FloatArray, x2: FloatArray, threshold_px: float) -> Float
 
     Parameters
     ----------
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matches, pixels.
-    threshold_px : float
-        On `homography_distance`.
+    x1, x2 : (N, 2) float64. Matches, pixels.
+    threshold_px : On `homography_distance`.
     """
     if _at_most(3, x1, x2):
         return None
@@ -260,8 +236,8 @@ def _at_most(count: int, x1: FloatArray, x2: FloatArray) -> bool:
 def homography_distance(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
     """Return the distance of each match from the homography, pixels: the smaller of both transfer errors.
 
-    The smaller, so that a change of scale between the images does not push matches off the plane; ``inf``
-    where a point is mapped behind the camera or to infinity.
+    The smaller, so that a change of scale between the images does not push matches off the plane; ``inf`` where a point
+    is mapped behind the camera or to infinity.
     """
     forward = np.linalg.norm(_transfer(H, x1) - x2, axis=1)
     try:

@@ -16,21 +16,14 @@ def judge(
 
     Parameters
     ----------
-    F : ndarray, shape (3, 3)
-        Normalised.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Inliers and outliers, pixels.
-    threshold_px : float
-        On the Sampson distance.
-    levels : DecidedLevels
-        How much evidence off a dominant plane decides F.
+    F : (3, 3). Normalised.
+    x1, x2 : (N, 2) float64. Inliers and outliers, pixels.
+    threshold_px : On the Sampson distance.
+    levels : How much evidence off a dominant plane decides F.
 
-    Returns
-    -------
-    tuple of Status and str
-        ``no_model`` below 8 distinct inliers or where chance would give as many (`epiprior.verification.chance`);
-        ``degenerate`` where they lie on an overlay (`epiprior.verification.overlay`) or leave F undecided
-        (`epiprior.verification.degeneracy`); else ``ok``.
+    Returns: ``no_model`` below 8 distinct inliers or where chance would give as many (`epiprior.verification.chance`);
+    ``degenerate`` where they lie on an overlay (`epiprior.verification.overlay`) or leave F undecided
+    (`epiprior.verification.degeneracy`); else ``ok``.
     """
     inliers = sampson_distance(F, x1, x2) < threshold_px
     distinct = distinct_count(x1[inliers], x2[inliers])

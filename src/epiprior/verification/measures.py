@@ -28,20 +28,14 @@ def camera_plausibility(models: FloatArray, image_sizes: ImageSizes | None) -> F
 
     Parameters
     ----------
-    models : ndarray, shape (K, 3, 3), float64
-        Fundamental matrices.
-    image_sizes : tuple, optional
-        Width and height of both images, in the pixels of `models`. None where unknown.
+    models : (K, 3, 3) float64. Fundamental matrices.
+    image_sizes : Width and height of both images, in the pixels of `models`. None where unknown.
 
-    Returns
-    -------
-    ndarray, shape (K,), float64
-        In [0, 1]: the highest ratio of the second to the first singular value of ``K2' F K1`` over focal lengths from
-        0.6 to 2.5 times the longer side of each image, the same for both, with the principal points at the centres. It
-        is 1 for ideal cameras, and about 0.75 in the median for an F that outliers made. 1 where sizes are unknown.
+    Returns: (K,) float64. In [0, 1]: the highest ratio of the second to the first singular value of ``K2' F K1`` over
+    focal lengths from 0.6 to 2.5 times the longer side of each image, the same for both, with the principal points at
+    the centres. It is 1 for ideal cameras, and about 0.75 in the median for an F that outliers made. 1 where sizes are
+    unknown.
 
-    Notes
-    -----
     A crop, a shifted lens or two very different zooms lower the value of a right F towards that of wrong ones. It then
     tells nothing; it does not mislead.
     """
