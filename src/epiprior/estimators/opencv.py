@@ -82,15 +82,9 @@ ESTIMATORS = (
         polisher=cv2.LSQ_POLISHER,
     ),
     OpenCVEstimator(
-        name="magsac++",
-        score=cv2.SCORE_METHOD_MAGSAC,
-        local_optimisation=cv2.LOCAL_OPTIM_SIGMA,
-        polisher=cv2.MAGSAC,
+        name="magsac++", score=cv2.SCORE_METHOD_MAGSAC, local_optimisation=cv2.LOCAL_OPTIM_SIGMA, polisher=cv2.MAGSAC
     ),
     OpenCVEstimator(
-        name="gc-ransac",
-        score=cv2.SCORE_METHOD_MSAC,
-        local_optimisation=cv2.LOCAL_OPTIM_GC,
-        polisher=cv2.LSQ_POLISHER,
+        name="gc-ransac", score=cv2.SCORE_METHOD_MSAC, local_optimisation=cv2.LOCAL_OPTIM_GC, polisher=cv2.LSQ_POLISHER
     ),
 )

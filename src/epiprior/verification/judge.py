@@ -31,10 +31,7 @@ def judge(
         return Status.NO_MODEL, f"only {distinct} distinct inliers, at least {MIN_MATCHES} are needed"
     rate = chance_rate(F, x1, x2, threshold_px)
     if not beyond_chance(distinct, distinct_count(x1, x2), rate, MATCHES_PER_F):
-        return (
-            Status.NO_MODEL,
-            f"{distinct} distinct inliers of {len(x1)} matches are no more than chance gives",
-        )
+        return (Status.NO_MODEL, f"{distinct} distinct inliers of {len(x1)} matches are no more than chance gives")
     why = why_overlay(F, x1, x2, threshold_px=threshold_px, rate=rate)
     why = why or why_degenerate(F, x1, x2, threshold_px=threshold_px, rate=rate, levels=levels)
     return (Status.DEGENERATE, why) if why else (Status.OK, "")
