@@ -47,7 +47,7 @@ def test_scores_are_those_of_the_naive_twin(size):
     m = pair.matches
     group = np.random.default_rng(0).permutation(120) // size
     models = perturbed(pair.F, 150, 0.02)
-    found = Evidence.of(m.x1, m.x2, m.probability, group).scores(models, 3.0)
+    found = Evidence(m.x1, m.x2, m.probability, group).scores(models, 3.0)
     wanted = [naive_score(F, m.x1, m.x2, m.probability, group, 3.0) for F in models[::10]]
     assert found[::10] == pytest.approx(wanted, abs=0.01, rel=1e-3)
     assert found.max() > 5
@@ -55,7 +55,7 @@ def test_scores_are_those_of_the_naive_twin(size):
 
 def test_nothing_speaks_for_models_that_are_none():
     m = make_pair(inliers=20, outliers=0).matches
-    evidence = Evidence.of(m.x1, m.x2, m.probability, np.arange(20))
+    evidence = Evidence(m.x1, m.x2, m.probability, np.arange(20))
     assert not evidence.scores(np.stack([np.zeros((3, 3)), np.full((3, 3), np.nan)]), 2.0).any()
     assert evidence.scores(np.empty((0, 3, 3)), 2.0).shape == (0,)
 
@@ -91,9 +91,9 @@ def test_weights_grow_with_probability_and_doubt_clusters():
 
 def test_no_matches_or_no_models_score_nothing():
     m = make_pair().matches
-    nothing = Evidence.of(m.x1[:0], m.x2[:0], m.probability[:0], m.feature1[:0])
+    nothing = Evidence(m.x1[:0], m.x2[:0], m.probability[:0], m.feature1[:0])
     assert not nothing.scores(np.ones((2, 3, 3)), 2.0).any()
-    assert Evidence.of(m.x1, m.x2, m.probability, m.feature1).scores(np.empty((0, 3, 3)), 2.0).shape == (0,)
+    assert Evidence(m.x1, m.x2, m.probability, m.feature1).scores(np.empty((0, 3, 3)), 2.0).shape == (0,)
 
 
 def naive_refinement(F, x1, x2, weights, thresholds):

@@ -8,13 +8,13 @@ import numpy as np
 
 from epiprior.estimators.evidence import Evidence, match_weights, prior_probability
 from epiprior.estimators.proposals import oriented_pairs, plane_and_parallax, progressive_rows
-from epiprior.estimators.protocol import EstimatorSettings, RawModel, package_version
+from epiprior.estimators.protocol import EstimatorSettings, PartOfEpiprior, RawModel
 from epiprior.geometry import MIN_MATCHES, as_columns, sampson_distance
 from epiprior.kernels.compilation import announce_compilation
 from epiprior.kernels.local_steps import climb, refine_models
 from epiprior.kernels.samples import generator_state
 from epiprior.kernels.solvers import fit_samples
-from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
+from epiprior.types import BoolArray, FloatArray, MatchSet
 from epiprior.verification.measures import camera_plausibility, spread_groups
 
 # Thresholds in units of the inlier threshold: 1.5 px give 10, 8, 6, 4, 3, 2, 2, 1.5, 1.5.
@@ -26,49 +26,27 @@ _STATE = 20141
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpipriorEstimator:
+class EpipriorEstimator(PartOfEpiprior):
     """Rough matrices, two oriented matches and samples of the ranking: scored, refined, optimised.
-
-    Parameters
-    ----------
-    max_iterations : Samples of eight matches from the head of the ranking.
-    head : So many one-to-one matches choose and refine hypotheses.
-    kept_rough, kept_other : So many of the rough matrices, and of each other source, are refined: no source crowds out
-        another.
-    oriented : Every two of so many best matches give a hypothesis.
-    mended, plane_matches : So many of the best are tested for a dominant plane, and so many matches off it try its
-        epipole.
-    leaders, inner_samples : So many different ones of the best are optimised, by so many inner samples each.
-    same_share : Two hypotheses are the same where their supporters are so, in [0, 1]: the intersection over the union.
-
-    Deterministic: the seed changes nothing.
 
     Every choice among refined hypotheses follows one score: what the matches say, each part of the images once
     (`epiprior.estimators.evidence`), times the plausibility of the cameras (`epiprior.verification.measures`). Local
-    optimisation of one hypothesis climbs its first factor alone.
+    optimisation of one hypothesis climbs its first factor alone. Deterministic: the seed changes nothing.
     """
 
     name: str = "epiprior"
     licence: str = "BSD-3-Clause"
-    max_iterations: int = 3_000
-    head: int = 800
-    kept_rough: int = 200
-    kept_other: int = 60
-    oriented: int = 80
-    mended: int = 1
-    plane_matches: int = 40
-    leaders: int = 8
-    inner_samples: int = 30
-    same_share: float = 0.75
+    max_iterations: int = 3_000  # samples of eight matches from the head of the ranking
+    head: int = 800  # so many one-to-one matches choose and refine hypotheses
+    kept_rough: int = 200  # so many of the rough matrices are refined,
+    kept_other: int = 60  # and so many of each other source: no source displaces another
+    oriented: int = 80  # every two of so many best matches give a hypothesis
+    mended: int = 1  # so many of the best hypotheses are tested for a dominant plane,
+    plane_matches: int = 40  # and so many matches off it give epipoles
+    leaders: int = 8  # so many different ones of the best are optimised,
+    inner_samples: int = 30  # by so many inner samples each
+    same_share: float = 0.75  # two hypotheses are the same from this intersection over union of their supporters on
     deterministic: bool = True
-
-    def missing(self) -> str:
-        """Return an empty string: it is always there."""
-        return ""
-
-    def version(self) -> str:
-        """Return epiprior's version."""
-        return package_version("epiprior")
 
     def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
         """Return the best supported F; `seed` changes nothing."""
@@ -77,70 +55,46 @@ class EpipriorEstimator:
         if len(single) < MIN_MATCHES:
             return RawModel(F=None)
         announce_compilation(climb, "the estimator epiprior", "about ten seconds")
-        search = _Search.of(single, self.head, settings.threshold_px)
-        sources = self._proposals(search.head, settings)
+        search = _Search(single, self.head, settings.threshold_px)
+        head, px, samples = search.head, search.px, settings.max_iterations or self.max_iterations
+        drawn = fit_samples(as_columns(head.x1, head.x2), progressive_rows(len(head), samples))
+        sources = (head.rough_matrices, oriented_pairs(head, self.oriented, _MIN_DISTANCE_PX), drawn)
         kept = (self.kept_rough, self.kept_other, self.kept_other)
         found = search.refined(
             np.concatenate([search.likeliest(models, count) for models, count in zip(sources, kept, strict=True)])
         )
-        planar = np.concatenate(
-            [np.empty((0, 3, 3)), *(self._mended(F, search) for F in search.best(found, self.mended))]
-        )
-        found = np.concatenate([found, search.refined(search.likeliest(planar, self.kept_other))])
+        planar = [
+            plane_and_parallax(F, head.x1, head.x2, threshold_px=px, plane_px=_PLANE * px, count=self.plane_matches)
+            for F in search.best(found, self.mended)
+        ]
+        through_plane = np.concatenate([np.empty((0, 3, 3)), *planar])
+        found = np.concatenate([found, search.refined(search.likeliest(through_plane, self.kept_other))])
         leaders = search.best(found, self.leaders, self.same_share)
         climbed = np.concatenate([leaders, search.optimised(leaders, self.inner_samples)])
         best = search.best(climbed, 1)
-        tried = sum(map(len, sources)) + len(planar)
+        tried = sum(map(len, sources)) + len(through_plane)
         return RawModel(F=best[0] if len(best) else None, iterations=tried)
 
-    def _proposals(self, head: MatchSet, settings: EstimatorSettings) -> tuple[FloatArray, FloatArray, FloatArray]:
-        samples = settings.max_iterations or self.max_iterations
-        drawn = fit_samples(as_columns(head.x1, head.x2), progressive_rows(len(head), samples))
-        return head.rough_matrices, oriented_pairs(head, self.oriented, _MIN_DISTANCE_PX), drawn
 
-    def _mended(self, F: FloatArray, search: _Search) -> FloatArray:
-        head, px = search.head, search.px
-        return plane_and_parallax(F, head.x1, head.x2, threshold_px=px, plane_px=_PLANE * px, count=self.plane_matches)
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Search:
     """The one-to-one matches of one call, arranged for choosing, refining and judging models."""
 
-    single: MatchSet
-    head: MatchSet
-    prior: FloatArray
-    weights: FloatArray
-    group: IntArray
-    px: float
-    likely: Evidence
-    spread: Evidence
-
-    @classmethod
-    def of(cls, single: MatchSet, head: int, px: float) -> _Search:
-        prior = prior_probability(single)
-        weights = match_weights(single, prior)
-        group = spread_groups(single.x1, single.x2)
-        first = single.take(slice(head))
-        return cls(
-            single=single,
-            head=first,
-            prior=prior,
-            weights=weights,
-            group=group,
-            px=px,
-            likely=Evidence.of(first.x1, first.x2, prior[:head], np.arange(len(first))),
-            spread=Evidence.of(single.x1, single.x2, weights, group),
-        )
+    def __init__(self, single: MatchSet, head: int, px: float) -> None:
+        self.single, self.head, self.px = single, single.take(slice(head)), px
+        self.prior = prior_probability(single)
+        self.weights = match_weights(single, self.prior)
+        self.group = spread_groups(single.x1, single.x2)
+        self.likely = Evidence(self.head.x1, self.head.x2, self.prior[:head], np.arange(len(self.head)))
+        self.spread = Evidence(single.x1, single.x2, self.weights, self.group)
 
     def likeliest(self, models: FloatArray, count: int) -> FloatArray:
-        """Return the rough models that the probabilities of the head speak for most."""
+        """Return the rough models with the highest sums of probabilities of the head."""
         scores = self.likely.scores(models, _COARSE * self.px)
         order = np.argsort(-scores, kind="stable")[:count]
         return models[order[scores[order] > 0]]
 
     def best(self, models: FloatArray, count: int, same_share: float = 1.0) -> FloatArray:
-        """Return the models that most speaks for, best first, no two of which have the same supporters."""
+        """Return the models with the highest scores, best first, no two of which have the same supporters."""
         scores = self.spread.scores(models, _FINE * self.px) * camera_plausibility(models, self.single.image_sizes)
         kept: list[int] = []
         supporters: list[BoolArray] = []
@@ -156,9 +110,8 @@ class _Search:
     def refined(self, models: FloatArray) -> FloatArray:
         """Return the models after probability-weighted eight-point fits over shrinking thresholds."""
         models = np.ascontiguousarray(models).copy()
-        refine_models(
-            models, as_columns(self.head.x1, self.head.x2), self.prior[: len(self.head)], _SHRINKING * self.px
-        )
+        columns = as_columns(self.head.x1, self.head.x2)
+        refine_models(models, columns, self.prior[: len(self.head)], _SHRINKING * self.px)
         return models
 
     def optimised(self, models: FloatArray, samples: int) -> FloatArray:

@@ -1,56 +1,34 @@
 """What the matches say for a fundamental matrix: the score of the estimator ``epiprior``.
 
-Why not the sum of the probabilities alone: matches are not independent witnesses. A window that was taken for its
-neighbour brings ten matches that agree with one another, and with every F that agrees with one of them. So matches that
-lead from one small part of image 1 to one small part of image 2 speak once, by the best of them. And F itself must be
-one that two photographs can have (`epiprior.verification.measures`): this evidence comes from no match at all.
+A sum of the probabilities alone would not do: matches are not independent. A window that was taken for its neighbour
+gives ten matches that agree with one another, and with every F that agrees with one of them. So matches that lead from
+one small part of image 1 to one small part of image 2 count once, by the best of them; and F itself must be one that
+two photographs can have (`epiprior.verification.measures`), which does not depend on the matches at all.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from epiprior.geometry import SCORE_THRESHOLD_PX, as_columns, centred_columns
 from epiprior.kernels.scores import score_models
-from epiprior.types import Float32Array, FloatArray, IntArray, MatchSet
+from epiprior.types import FloatArray, IntArray, MatchSet
 from epiprior.verification.measures import camera_plausibility, spread_groups
 
 CHANCE = 0.02
 WITHOUT_RATIO = 0.5
 
 
-@dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """Weighted matches, arranged for scoring many F.
+    """N matches with their weights, arranged for scoring many F; of the matches of one group only the best counts."""
 
-    Parameters
-    ----------
-    columns : (4, N) float32. Matches, pixels from `centre1` and `centre2`, sorted by group.
-    weights : (N,) float32. What a match is worth at distance zero.
-    group : (N,) int64. Of the matches of one group only the best counts; ascending.
-    centre1, centre2 : (2,) float64. Means of the points: single precision is then exact enough.
-    """
-
-    columns: Float32Array
-    weights: Float32Array
-    group: IntArray
-    centre1: FloatArray
-    centre2: FloatArray
-
-    @classmethod
-    def of(cls, x1: FloatArray, x2: FloatArray, weights: FloatArray, group: IntArray) -> Evidence:
-        """Arrange N matches with their weights and the groups that speak once."""
+    def __init__(self, x1: FloatArray, x2: FloatArray, weights: FloatArray, group: IntArray) -> None:
         order = np.argsort(group, kind="stable")
-        centre1, centre2 = (x.mean(axis=0) if len(x) else np.zeros(2) for x in (x1, x2))
-        return cls(
-            columns=as_columns((x1 - centre1)[order], (x2 - centre2)[order]).astype(np.float32),
-            weights=weights[order].astype(np.float32),
-            group=np.asarray(group[order], dtype=np.int64),
-            centre1=centre1,
-            centre2=centre2,
-        )
+        # Pixels from the means of the points: single precision is then exact enough.
+        self.centre1, self.centre2 = (x.mean(axis=0) if len(x) else np.zeros(2) for x in (x1, x2))
+        self.columns = as_columns((x1 - self.centre1)[order], (x2 - self.centre2)[order]).astype(np.float32)
+        self.weights = weights[order].astype(np.float32)
+        self.group = np.asarray(group[order], dtype=np.int64)
 
     def scores(self, models: FloatArray, threshold_px: float) -> FloatArray:
         """Return the score of each of `models` (K, 3, 3): shape (K,), float64, >= 0.
@@ -65,19 +43,14 @@ class Evidence:
 
 
 def spread_evidence(F: FloatArray, matches: MatchSet, threshold_px: float = SCORE_THRESHOLD_PX) -> float:
-    """Return how much speaks for one F: the matches, each part of the images once, times the plausibility of F.
+    """Return the score of one F, >= 0: the matches, each part of the images once, times the plausibility of F.
 
-    Parameters
-    ----------
-    F : (3, 3). Fundamental matrix.
-    matches : Many-to-many as they are; each feature speaks once, by its most probable match.
-    threshold_px : Sampson distance at which a match says nothing.
-
-    Returns: >= 0. It may be compared between roll hypotheses of one pair.
+    Many-to-many matches are made one-to-one: each feature speaks once, by its most probable match. A match at a Sampson
+    distance of `threshold_px` says nothing. The score may be compared between roll hypotheses of one pair.
     """
     single = matches.one_to_one()
     weights = match_weights(single, prior_probability(single))
-    evidence = Evidence.of(single.x1, single.x2, weights, spread_groups(single.x1, single.x2))
+    evidence = Evidence(single.x1, single.x2, weights, spread_groups(single.x1, single.x2))
     return float(evidence.scores(F[None], threshold_px)[0] * camera_plausibility(F[None], single.image_sizes)[0])
 
 

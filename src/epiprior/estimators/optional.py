@@ -18,26 +18,17 @@ from epiprior.types import MatchSet
 
 _MIN_ITERATIONS = 100
 
-
+# Takes matches, settings, the cap on the hypotheses and the seed; returns F, if any, and the number drawn, if known.
 Run = Callable[[MatchSet, EstimatorSettings, int, int], tuple[object, int | None]]
 
 
 @dataclass(frozen=True)
 class OptionalEstimator:
-    """An estimator that another package runs.
-
-    Parameters
-    ----------
-    name : Name in the registry.
-    package, requirement : What is imported, and what ``pip install`` is told.
-    run : Takes matches, settings, the cap on the hypotheses and the seed; returns F, if any, and the number of
-        hypotheses drawn, if it is known.
-    max_iterations : Cap on the hypotheses.
-    """
+    """An estimator that another package runs."""
 
     name: str
-    package: str
-    requirement: str
+    package: str  # is imported
+    requirement: str  # for `pip install`
     run: Run
     max_iterations: int
     licence: str = "BSD-3-Clause"
@@ -79,15 +70,9 @@ def _degensac(matches: MatchSet, settings: EstimatorSettings, cap: int, seed: in
     """Run pydegensac: a failure is a matrix of zeros. A negative seed would draw from the clock; ours never is."""
     import pydegensac  # type: ignore[import-not-found, unused-ignore]
 
+    options = {"error_type": "sampson", "enable_degeneracy_check": True, "max_iters": cap, "seed": seed}
     F, _ = pydegensac.findFundamentalMatrix(
-        matches.x1,
-        matches.x2,
-        px_th=settings.threshold_px,
-        conf=settings.confidence,
-        max_iters=cap,
-        error_type="sampson",
-        enable_degeneracy_check=True,
-        seed=seed,
+        matches.x1, matches.x2, px_th=settings.threshold_px, conf=settings.confidence, **options
     )
     return F, None
 

@@ -44,16 +44,10 @@ class EstimatorSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class RawModel:
-    """The answer of a backend, unchecked.
+    """The answer of a backend, unchecked."""
 
-    Parameters
-    ----------
-    F : What the backend returned: it may be a stack of matrices, zero, or not finite. None if it gave none.
-    iterations : Hypotheses drawn, where the backend tells.
-    """
-
-    F: FloatArray | None
-    iterations: int | None = None
+    F: FloatArray | None  # may be a stack of matrices, zero, or not finite; None if the backend gave none
+    iterations: int | None = None  # hypotheses drawn, where the backend tells
 
 
 class Estimator(Protocol):
@@ -84,6 +78,18 @@ class Estimator(Protocol):
 
     def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
         """Return the backend's F for at least 8 distinct matches; `seed` is in [0, 2**31 - 1)."""
+
+
+class PartOfEpiprior:
+    """An estimator that needs no package beside epiprior's own dependencies."""
+
+    def missing(self) -> str:
+        """Return an empty string."""
+        return ""
+
+    def version(self) -> str:
+        """Return epiprior's version."""
+        return package_version("epiprior")
 
 
 @functools.cache  # parsing the metadata takes milliseconds, and every estimate carries a version
