@@ -77,16 +77,10 @@ def hand_over(matches: MatchSet, how: HandOver) -> MatchSet:
 
 
 def default_hand_over(estimator: str, kind: str) -> HandOver:
-    """Return the hand-over for an estimator and an input where none was chosen on validation scenes.
+    """Return the hand-over for an estimator and an input (of `INPUTS`) where none was chosen on validation scenes.
 
-    Parameters
-    ----------
-    estimator : Name in the registry. Those that weigh matches get most of a ranking, those that sample in order fewer,
-        those that take no prior the fewest.
-    kind : Input: ``standard`` (X_L), ``snn``, ``generalized`` (all matches above a similarity), ``paper`` or
-        ``default`` (the presets).
-
-    Raises SettingsError if `kind` is another.
+    Estimators that weigh matches get most of a ranking, those that sample in order fewer, those that take no prior the
+    fewest. Inputs: ``standard`` (X_L), ``snn``, ``generalized`` (all matches above a similarity), and the presets.
     """
     if kind not in INPUTS:
         raise SettingsError(f"input is {kind!r}, known: {', '.join(INPUTS)}")
@@ -101,14 +95,10 @@ def default_hand_over(estimator: str, kind: str) -> HandOver:
 
 
 def load_hand_overs(path: Path | None = None) -> dict[str, dict[str, HandOver]]:
-    """Return the hand-over of every estimator and input.
+    """Return the hand-over of every estimator and input; a file changes `default_hand_over` where it says so.
 
-    Parameters
-    ----------
-    path : JSON of the form ``{estimator: {input: {field: value}}}``; what it leaves out keeps the value of
-        `default_hand_over`. None: the file that comes with the models, if there is one.
-
-    Raises SettingsError if the file cannot be read, or names an estimator, input or field that does not exist.
+    The file is JSON, ``{estimator: {input: {field: value}}}``; None: the one that comes with the models, if there is
+    one. Raises SettingsError if it cannot be read, or names an estimator, input or field that does not exist.
     """
     table = {name: {kind: default_hand_over(name, kind) for kind in INPUTS} for name in names()}
     found = path if path is not None else find_hand_overs()

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.estimators.protocol import EstimatorSettings, RawModel, package_version
+from epiprior.estimators.protocol import EstimatorSettings, PartOfEpiprior, RawModel
 from epiprior.estimators.ratio_prior import inlier_probability, probability_or_ratio_prior
 from epiprior.geometry import as_columns
 from epiprior.kernels.compilation import announce_compilation
@@ -42,77 +42,41 @@ _SIGMAS_OF_THRESHOLD = 2.0
 class Recipe:
     """What distinguishes one estimator of the loop from another.
 
-    Parameters
-    ----------
-    kind : `SUPPORT`, `LIKELIHOOD` or `KERNEL` of `epiprior.kernels.scores`.
-    weighted : Whether a match counts by its probability in the score and in local optimisation. Where matches carry
-        none, all count alike: a prior from descriptors alone is too weak, measured on validation scenes. The likelihood
-        always knows the prior.
-    oriented : Share of two oriented matches among the global samples, in [0, 1]; the others are seven matches.
-    local : `NO_LOCAL`, `FROM_SUPPORT` or `FROM_JOINT_DENSITY`: whence local samples of seven are drawn.
-    local_share, local_growth : Share of local proposals once there is a model, ``local_share + local_growth * mass``
-        where mass is the share of the prior that supports the best model: an estimate of its quality.
-    mixed_share : Of the local proposals, the share that joins supporters and non-supporters.
-    skip_planes : Whether a sample of seven, six of which agree with one homography, is ruled out.
-    raw_factor : Hypotheses are compared at so many times the threshold before they are optimised, >= 1: rough ones
-        would look all alike at the threshold itself.
-    good_sample_share : Of the samples of right matches, how many give an F that local optimisation can mend; enters the
-        stopping rule.
-    min_iterations : Hypotheses drawn before the loop may stop.
-    repeats : Inner samples of local optimisation.
+    Where matches carry no probabilities, all count alike even if `weighted`: a prior from descriptors alone is too
+    weak, measured on validation scenes. The likelihood always knows the prior.
     """
 
-    kind: int
-    weighted: bool = False
-    oriented: float = 0.0
-    local: int = NO_LOCAL
-    local_share: float = 0.0
-    local_growth: float = 0.0
-    mixed_share: float = 0.0
-    skip_planes: bool = False
-    raw_factor: float = 1.0
-    good_sample_share: float = 0.5
-    min_iterations: int = 200
-    repeats: int = 5
+    kind: int  # `SUPPORT`, `LIKELIHOOD` or `KERNEL` of `epiprior.kernels.scores`
+    weighted: bool = False  # whether a match counts by its probability in the score and in local optimisation
+    oriented: float = 0.0  # share of two oriented matches among the global samples; the others are seven matches
+    local: int = NO_LOCAL  # or `FROM_SUPPORT` or `FROM_JOINT_DENSITY`: whence local samples of seven are drawn
+    local_share: float = 0.0  # share of local proposals once there is a model,
+    local_growth: float = 0.0  # plus this times the share of the prior that supports the best model (its quality)
+    mixed_share: float = 0.0  # of the local proposals, the share that joins supporters and non-supporters
+    skip_planes: bool = False  # whether a sample of seven, six of which agree with one homography, is ruled out
+    raw_factor: float = 1.0  # >= 1: rough hypotheses, before they are optimised, are compared at so many thresholds
+    good_sample_share: float = 0.5  # of the samples of right matches, how many local optimisation can mend: to stop
+    min_iterations: int = 200  # hypotheses drawn before the loop may stop
+    repeats: int = 5  # inner samples of local optimisation
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopEstimator:
-    """An estimator that runs in the compiled loop.
-
-    Parameters
-    ----------
-    name : Name in the registry.
-    recipe : Its parts.
-    prior : Gives the weight of each match in sampling, shape (N,), in [0, 1].
-    max_iterations : Cap on the samples drawn; a sample may give up to three hypotheses.
-    """
+class LoopEstimator(PartOfEpiprior):
+    """An estimator that runs in the compiled loop."""
 
     name: str
     recipe: Recipe
-    prior: Callable[[MatchSet], FloatArray] = probability_or_ratio_prior
-    max_iterations: int = 5_000
+    prior: Callable[[MatchSet], FloatArray] = probability_or_ratio_prior  # weight in sampling, (N,) in [0, 1]
+    max_iterations: int = 5_000  # samples; each may give up to three hypotheses
     licence: str = "BSD-3-Clause"
-
-    def missing(self) -> str:
-        """Return an empty string: it is part of epiprior."""
-        return ""
-
-    def version(self) -> str:
-        """Return epiprior's version."""
-        return package_version("epiprior")
 
     def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
         """Run the loop; `iterations` counts samples."""
         announce_compilation(run_loop, "our own estimators", "about twenty seconds")
+        cap = settings.max_iterations or self.max_iterations
+        threshold_px, confidence, prior = settings.threshold_px, settings.confidence, self.prior(matches)
         return search(
-            matches,
-            self.prior(matches),
-            self.recipe,
-            threshold_px=settings.threshold_px,
-            confidence=settings.confidence,
-            max_iterations=settings.max_iterations or self.max_iterations,
-            seed=seed,
+            matches, prior, self.recipe, threshold_px=threshold_px, confidence=confidence, max_iterations=cap, seed=seed
         )
 
 
@@ -128,13 +92,9 @@ def search(
 ) -> RawModel:
     """Run the loop on distinct, finite matches; F is None if no hypothesis had any support.
 
-    Parameters
-    ----------
-    matches : Best first: the order does not enter the result's distribution, but the score bails out earlier.
-    prior : (N,) float64. Weight of each match in sampling, >= 0; in [0, 1] where the recipe weighs scores by it.
-    recipe : The estimator.
-    threshold_px : Inlier threshold; the standard deviation of an inlier's distance is taken to be half of it.
-    confidence, max_iterations, seed : As for an estimator.
+    Matches are best first: their order does not enter the result's distribution, but the score stops earlier. `prior`,
+    shape (N,), is the weight of each match in sampling, >= 0; in [0, 1] where the recipe weighs scores by it. The
+    standard deviation of an inlier's distance is taken to be half of `threshold_px`.
     """
     conditioned = condition(matches)
     sigma = threshold_px / conditioned.unit_px
@@ -161,21 +121,13 @@ def search(
 
 @dataclass(frozen=True, kw_only=True)
 class Conditioned:
-    """Matches as the compiled parts want them.
+    """Matches as the compiled parts want them."""
 
-    Parameters
-    ----------
-    columns : (4, N) float64. x and y in image 1, x and y in image 2, centred and divided by `unit_px`.
-    frames : (4, N) float64. Scale in image 1 and 2 in units, orientation in image 1 and 2 in radians.
-    centre1, centre2 : (2,) float64. What was subtracted, pixels.
-    unit_px : Pixels per unit, the same for both images.
-    """
-
-    columns: FloatArray
-    frames: FloatArray
-    centre1: FloatArray
+    columns: FloatArray  # (4, N): x and y in image 1, x and y in image 2, centred and divided by `unit_px`
+    frames: FloatArray  # (4, N): scale in image 1 and 2 in units, orientation in image 1 and 2 in radians
+    centre1: FloatArray  # (2,), what was subtracted, pixels
     centre2: FloatArray
-    unit_px: float
+    unit_px: float  # pixels per unit, the same for both images
 
     def to_pixels(self, F: FloatArray) -> FloatArray:
         """Return F of conditioned coordinates as an F of pixels."""
@@ -190,14 +142,8 @@ def condition(matches: MatchSet) -> Conditioned:
     spread = ((matches.x1 - c1) ** 2).sum(axis=1).mean() + ((matches.x2 - c2) ** 2).sum(axis=1).mean()
     unit = max(math.sqrt(float(spread) / 4.0), 1e-9)
     columns = as_columns(matches.x1 - c1, matches.x2 - c2) / unit
-    frames = np.stack(
-        [
-            matches.scale1 / unit,
-            matches.scale2 / unit,
-            np.deg2rad(matches.orientation1_deg),
-            np.deg2rad(matches.orientation2_deg),
-        ]
-    )
+    scales, angles = (matches.scale1, matches.scale2), (matches.orientation1_deg, matches.orientation2_deg)
+    frames = np.stack([*(scale / unit for scale in scales), *(np.deg2rad(angle) for angle in angles)])
     return Conditioned(columns=columns, frames=frames, centre1=c1, centre2=c2, unit_px=unit)
 
 
@@ -235,12 +181,7 @@ ESTIMATORS = (
     LoopEstimator(
         name="blogs",
         recipe=Recipe(
-            kind=KERNEL,
-            weighted=True,
-            local=FROM_JOINT_DENSITY,
-            local_share=0.5,
-            skip_planes=True,
-            min_iterations=2_000,
+            kind=KERNEL, weighted=True, local=FROM_JOINT_DENSITY, local_share=0.5, skip_planes=True, min_iterations=2000
         ),
         prior=similarity_prior,
         max_iterations=2_000,

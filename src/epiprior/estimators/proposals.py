@@ -18,19 +18,11 @@ _STATE = 20140
 
 
 def oriented_pairs(matches: MatchSet, count: int, min_distance_px: float) -> FloatArray:
-    """Return an F for every two of the best `count` matches that lie far enough apart in both images.
+    """Return an F, shape (P, 3, 3), for every two of the best `count` matches that lie far enough apart in both images.
 
-    Parameters
-    ----------
-    matches : N matches, best first, one-to-one.
-    count : So many of them take part.
-    min_distance_px : Two matches nearer to each other say too little of F.
-
-    Returns: (P, 3, 3) float64. Eight-point estimates from each match and three points around it, by the scale and
-    orientation of its features.
-
-    References: BEEM-style, our interpretation of Goshen and Shimshoni, TPAMI 2008: three points at angles 120 degrees
-    apart, six sigma away.
+    Matches are one-to-one. Eight-point estimates from each match and three points around it, by the scale and
+    orientation of its features. BEEM-style, our interpretation of Goshen and Shimshoni, TPAMI 2008: three points at
+    angles 120 degrees apart, six sigma away.
     """
     head = matches.take(slice(count))
     i, j = np.triu_indices(len(head), 1)
@@ -54,13 +46,8 @@ def _with_frame(x: FloatArray, scale: FloatArray, orientation_deg: FloatArray) -
 def progressive_rows(matches: int, samples: int) -> IntArray:
     """Return samples of eight different matches from heads of the ranking that grow from the best to all.
 
-    Parameters
-    ----------
-    matches : How many there are, >= 8.
-    samples : How many samples.
-
-    Returns: (samples, 8) int64. Of the first samples all rows are among the best matches, of the last anywhere; the
-    head grows by the same factor from sample to sample (the schedule of PROSAC in its spirit; ours in its pace).
+    Returns shape (samples, 8), int64: the first samples hold the best matches only, the last any. The head grows by the
+    same factor from sample to sample (the schedule of PROSAC in its spirit; ours in its pace).
     """
     rng = np.random.default_rng(_STATE)
     head = np.geomspace(min(2 * SAMPLE_SIZE, matches), matches, samples).astype(np.int64)
@@ -76,28 +63,12 @@ def progressive_rows(matches: int, samples: int) -> IntArray:
 
 
 def plane_and_parallax(
-    F: FloatArray,
-    x1: FloatArray,
-    x2: FloatArray,
-    *,
-    threshold_px: float,
-    plane_px: float,
-    count: int,
-    min_share: float = 0.5,
+    F: FloatArray, x1: FloatArray, x2: FloatArray, *, threshold_px: float, plane_px: float, count: int
 ) -> FloatArray:
     """Mend an F whose support lies on one plane: that plane with the epipole of every two matches off it.
 
-    Parameters
-    ----------
-    F : (3, 3). A hypothesis.
-    x1, x2 : (N, 2) float64. Matches, pixels, one-to-one, best first.
-    threshold_px : Sampson distance below which a match supports F.
-    plane_px : Distance from the homography below which a match is of the plane.
-    count : So many of the best matches off the plane take part.
-    min_share : Least share of the support that must lie on one plane.
-
-    Returns: (P, 3, 3) float64. ``[e']x H``, P = count (count - 1) / 2 at most; none where no plane holds enough of the
-    support.
+    Returns ``[e']x H``, shape (P, 3, 3), of the best `count` one-to-one matches that lie `plane_px` or more off the
+    homography H; none where no plane holds half of the support of `F`.
 
     References: Chum, Werner and Matas, Two-view geometry estimation unaffected by a dominant plane, CVPR 2005; Hartley
     and Zisserman, algorithm 13.2. That every two matches are tried, in place of samples, is ours.
@@ -107,19 +78,16 @@ def plane_and_parallax(
     if H is None:
         return np.empty((0, 3, 3))
     on_plane = homography_distance(H, x1, x2) < plane_px
-    if np.count_nonzero(on_plane & support) < min_share * np.count_nonzero(support):
+    if np.count_nonzero(on_plane & support) < 0.5 * np.count_nonzero(support):
         return np.empty((0, 3, 3))
     off = np.flatnonzero(~on_plane)[:count]
     return models_of_plane(H, x1[off], x2[off])
 
 
 def models_of_plane(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
-    """Return ``[e']x H`` for the epipole e' at which the parallaxes of every two of the matches meet.
+    """Return ``[e']x H`` for the epipole e' at which the parallaxes of every two of the matches off a plane meet.
 
-    Parameters
-    ----------
-    H : (3, 3). Homography of the plane, ``x2 ~ H x1``.
-    x1, x2 : (N, 2) float64. Matches off the plane.
+    `H` is the homography of the plane, ``x2 ~ H x1``.
     """
     ones = np.ones((len(x1), 1))
     # The line through where the plane would have put a point and where it is holds the epipole.

@@ -37,12 +37,9 @@ DENSITY_OUT = np.array(
 
 
 def density(ratios: FloatArray, bandwidth: float = BANDWIDTH) -> FloatArray:
-    """Return the density of `ratios` on the grid of 26 values from 0 to 1.
+    """Return the density of ratios in [0, 1], N >= 1, on the grid of 26 values from 0 to 1.
 
-    Parameters
-    ----------
-    ratios : (N,) float64. In [0, 1], N >= 1.
-    bandwidth : Standard deviation of the Gaussian kernel; mass that leaves [0, 1] is reflected.
+    `bandwidth` is the standard deviation of the Gaussian kernel; mass that leaves [0, 1] is reflected.
     """
     d = np.asarray(ratios, dtype=np.float64)
     total = np.zeros(len(_GRID))
@@ -54,15 +51,10 @@ def density(ratios: FloatArray, bandwidth: float = BANDWIDTH) -> FloatArray:
 
 
 def inlier_probability(distance_ratio: FloatArray) -> FloatArray:
-    """Return the probability that each match is right, given the distance ratios of its pair of images.
+    """Return the probability that each match is right, given the distance ratios d_r of its pair of images, (N,).
 
-    Parameters
-    ----------
-    distance_ratio : (N,) float64. d_r in [0, 1]; 1 where missing. Often cut at some ratio: both densities are
-        normalised up to the highest ratio that occurs.
-
-    Returns: (N,) float64. ``m f_in / (m f_in + (1 - m) f_out)``, with the m in [0.01, 0.99] that expectation
-    maximisation finds in at most 50 steps.
+    ``m f_in / (m f_in + (1 - m) f_out)``, with the m in [0.01, 0.99] that expectation maximisation finds in at most 50
+    steps. Ratios lie in [0, 1], 1 where missing, and are often cut: both densities are normalised up to the highest.
     """
     ratio = np.clip(np.asarray(distance_ratio, dtype=np.float64), 0.0, 1.0)
     if not len(ratio):

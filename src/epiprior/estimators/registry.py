@@ -36,10 +36,7 @@ def licences() -> dict[str, str]:
 
 
 def find_estimator(name: str) -> Estimator:
-    """Return the estimator called `name`, ready to run.
-
-    Raises EstimatorError if there is none of that name, or its backend is not installed.
-    """
+    """Return the estimator called `name`, or raise EstimatorError if there is none or its backend is not installed."""
     estimator = _REGISTRY.get(name)
     if estimator is None:
         raise EstimatorError(f"unknown estimator {name!r}, known: {', '.join(_REGISTRY)}")
@@ -51,43 +48,33 @@ def find_estimator(name: str) -> Estimator:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A checked but not yet verified answer.
+    """A checked but not yet verified answer."""
 
-    Parameters
-    ----------
-    F : (3, 3) float64. Normalised; None where `status` is not ``ok``.
-    status : ``ok``, ``too_few_matches`` or ``no_model``; `message` tells why.
-    iterations : Hypotheses drawn, where the backend tells.
-    version : The backend's package and version.
-    seconds : Wall time.
-    """
-
-    F: FloatArray | None
-    status: Status
-    message: str
-    iterations: int | None
-    version: str
+    F: FloatArray | None  # normalised; None where `status` is not ``ok``
+    status: Status  # ``ok``, ``too_few_matches`` or ``no_model``
+    message: str  # why it is not ``ok``
+    iterations: int | None  # hypotheses drawn, where the backend tells
+    version: str  # of the backend: package and version
     seconds: float
 
 
 def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None) -> Fit:
     """Run one estimator and check that its matrix is finite and of rank 2, but not whether it means anything.
 
-    Parameters
-    ----------
-    name : Name in the registry.
-    matches : Sorted best first. Of matches at identical points the first counts: repeated ones would make samples
-        singular, and count twice.
-    seed : >= 0; the same seed gives the same bytes.
-    settings : Threshold, confidence, cap on the iterations.
+    Matches are sorted best first. Of matches at identical points the first counts: repeated ones would make samples
+    singular, and count twice. The same `seed` >= 0 gives the same bytes.
 
-    Raises EstimatorError if the estimator is unknown or not installed. Raises FeatureError if points are not finite or
-    their numbers disagree. Raises SettingsError if the seed is negative or no integer.
+    Raises EstimatorError if the estimator is unknown or not installed, FeatureError if points are not finite or their
+    numbers disagree, SettingsError if the seed is negative or no integer.
     """
     estimator = find_estimator(name)
     if not isinstance(seed, Integral) or seed < 0:
         raise SettingsError(f"seed is {seed!r}, expected an integer, at least 0")
-    distinct = _distinct(_checked(matches))
+    x1, x2 = as_points("x1", matches.x1), as_points("x2", matches.x2)
+    if len(x1) != len(x2):
+        raise FeatureError(f"x1 holds {len(x1)} points and x2 {len(x2)}, expected as many")
+    matches, first = replace(matches, x1=x1, x2=x2), first_of_equal(np.column_stack([x1, x2]))
+    distinct = matches if len(first) == len(matches) else matches.take(first)
     start = time.perf_counter()
     F, status, message, iterations = None, Status.OK, "", None
     count = distinct_count(distinct.x1, distinct.x2)
@@ -100,16 +87,3 @@ def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSetti
             status, message = Status.NO_MODEL, "the estimator found no finite matrix of rank 2"
     seconds = time.perf_counter() - start
     return Fit(F=F, status=status, message=message, iterations=iterations, version=estimator.version(), seconds=seconds)
-
-
-def _checked(matches: MatchSet) -> MatchSet:
-    x1, x2 = as_points("x1", matches.x1), as_points("x2", matches.x2)
-    if len(x1) != len(x2):
-        raise FeatureError(f"x1 holds {len(x1)} points and x2 {len(x2)}, expected as many")
-    return replace(matches, x1=x1, x2=x2)
-
-
-def _distinct(matches: MatchSet) -> MatchSet:
-    """Return the first of every group of matches at identical points, in the order of the ranking."""
-    first = first_of_equal(np.column_stack([matches.x1, matches.x2]))
-    return matches if len(first) == len(matches) else matches.take(first)
