@@ -49,13 +49,9 @@ def first_of_equal(rows: FloatArray) -> IntArray:
 
 
 def normalise_fundamental(F: FloatArray) -> FloatArray | None:
-    """Return `F` at rank 2, Frobenius norm 1 and with its largest entry positive; None if that cannot be done.
+    """Return `F` at rank 2, Frobenius norm 1 and with its largest entry positive.
 
-    Parameters
-    ----------
-    F : (3, 3). Any 3 x 3 matrix.
-
-    Returns: (3, 3). None where `F` has another shape, holds a value that is not finite, or has rank below 2.
+    None where `F` has a shape other than (3, 3), holds a value that is not finite, or has rank below 2.
     """
     F = np.asarray(F, dtype=np.float64)
     if F.shape != (3, 3) or not np.isfinite(F).all():
@@ -72,18 +68,14 @@ def normalise_fundamental(F: FloatArray) -> FloatArray | None:
 
 
 def sampson_distance(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
-    """Return the Sampson distance of each match, in pixels.
+    """Return the Sampson distance of each match, in pixels: shape (N,), >= 0; inf where no epipolar line is defined.
 
     Parameters
     ----------
     F : (3, 3). Fundamental matrix with ``x2' F x1 = 0``; any non-zero scale.
     x1, x2 : (N, 2) float64. Matched points, pixels. ``N = 0`` is allowed.
 
-    Returns: (N,) float64. >= 0; ``inf`` where both epipolar lines are undefined.
-
-    Raises FeatureError if shapes disagree; the message carries them.
-
-    References: Hartley and Zisserman, equation 11.9 (its square).
+    Raises FeatureError if shapes disagree. Reference: Hartley and Zisserman, equation 11.9 (its square).
     """
     if x1.shape != x2.shape or x1.ndim != 2 or x1.shape[1] != 2:
         raise FeatureError(f"x1 and x2 have shapes {x1.shape} and {x2.shape}, expected (N, 2) twice")
@@ -102,13 +94,9 @@ def as_columns(x1: FloatArray, x2: FloatArray) -> FloatArray:
 def centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray) -> Float32Array:
     """Return fundamental matrices for points that are centred, as compiled kernels read them in single precision.
 
-    Parameters
-    ----------
-    models : (K, 3, 3) float64. Fundamental matrices for pixels; K = 0 is allowed.
-    centre1, centre2 : (2,) float64. What is subtracted from the points of both images.
-
-    Returns: (9, K) float32. Row by row, each matrix at a size at which neither its entries nor its residuals leave
-    single precision.
+    `models`, shape (K, 3, 3), are for pixels, K = 0 is allowed; `centre1` and `centre2`, shape (2,), are subtracted
+    from the points. Returns shape (9, K), float32: row by row, each matrix at a size at which neither its entries nor
+    its residuals leave single precision.
     """
     T1, T2 = np.eye(3), np.eye(3)
     T1[:2, 2], T2[:2, 2] = centre1, centre2
@@ -119,17 +107,15 @@ def centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray
 
 
 def eight_point(x1: FloatArray, x2: FloatArray, weights: FloatArray | None = None) -> FloatArray | None:
-    """Return the normalised (weighted) eight-point estimate.
+    """Return the normalised (weighted) eight-point estimate (Hartley and Zisserman, algorithm 11.1).
 
     Parameters
     ----------
     x1, x2 : (N, 2) float64. Matches, pixels, N >= 8.
     weights : (N,) float64. Non-negative weight of each match's squared algebraic residual.
 
-    Returns: (3, 3). Normalised as by `normalise_fundamental`; None for fewer than 8 matches of positive weight or where
-    the points decide nothing.
-
-    References: Hartley and Zisserman, algorithm 11.1.
+    Returns shape (3, 3), as by `normalise_fundamental`; None for fewer than 8 matches of positive weight or where the
+    points decide nothing.
     """
     w = np.ones(len(x1)) if weights is None else np.ascontiguousarray(weights, dtype=np.float64)
     F = np.empty((3, 3))
@@ -158,7 +144,7 @@ def refine_fundamental(
     Each fit takes the matches within the threshold of the F before it, by its weight, lowered towards the threshold
     (Tukey's biweight) and divided by the squared gradient of the residual, so that what is minimised is the Sampson
     distance. The F with the highest `weighted_score` is kept, the first one included: the result never scores less than
-    what went in.
+    what went in. It is normalised as by `normalise_fundamental`.
 
     Parameters
     ----------
@@ -168,9 +154,7 @@ def refine_fundamental(
     thresholds : Pixels, from wide to narrow.
     score_threshold_px : Of the score that decides.
 
-    Returns: (3, 3) float64. Normalised as by `normalise_fundamental`.
-
-    References: Shrinking thresholds: local optimisation of LO-RANSAC (Chum, Matas and Kittler, DAGM 2003) and of USAC.
+    References: shrinking thresholds: local optimisation of LO-RANSAC (Chum, Matas and Kittler, DAGM 2003) and of USAC.
     Weighing by the probabilities of the matches is ours.
     """
     w = np.ones(len(x1)) if weights is None else np.asarray(weights, dtype=np.float64)

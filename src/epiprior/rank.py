@@ -68,8 +68,7 @@ def rank_matches(
     for roll_deg in rolls:
         candidates = find_candidates(prepared, roll_deg, settings, watch)
         with watch.step("2keypoint classifier"):
-            rows = candidates.two_keypoints.select(model.two_keypoint_columns)
-            probability = model.predict_two_keypoint(rows)
+            probability = model.predict_two_keypoint(candidates.two_keypoints.select(model.two_keypoint_columns))
         with watch.step("votes"):
             votes = cast_votes(candidates.frames, candidates.two_keypoints, probability, settings)
         with watch.step("probabilities"):
@@ -84,10 +83,8 @@ def _check_columns(model: RankingModel, settings: PreprocessSettings) -> None:
     for target, wanted, known in zip(TARGETS, (model.two_keypoint_columns, model.match_columns), made, strict=True):
         missing = [name for name in wanted if name not in known]
         if missing:
-            raise ModelError(
-                f"model {model.name}: {target} asks for columns that preset {settings.name} of this epiprior does not "
-                f"have: {', '.join(missing)}"
-            )
+            what = f"asks for columns that preset {settings.name} of this epiprior does not have"
+            raise ModelError(f"model {model.name}: {target} {what}: {', '.join(missing)}")
 
 
 def rank_voted(prepared: PreparedPair, candidates: Candidates, votes: Votes, model: RankingModel) -> MatchSet:

@@ -25,10 +25,7 @@ def find_settings_file(name: str) -> Path | None:
 
 
 def read_settings_file(path: Path) -> dict[str, Any]:
-    """Return the object that a JSON file holds.
-
-    Raises SettingsError if it cannot be read, is no JSON, or holds no object.
-    """
+    """Return the object that a JSON file holds; raise SettingsError if it cannot be read or holds none."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

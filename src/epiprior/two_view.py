@@ -88,9 +88,8 @@ def estimate_fundamental(
         sizes = sets[0].image_sizes or (_size_of(image1), _size_of(image2))
         limit = chosen.features.max_image_size
         factor1, factor2 = (blank_photograph((round(w), round(h)), limit).factor for w, h in sizes)
-        result = estimate_from_matches(
-            sets, estimator=estimator, seed=seed, hand_over=how, pixel_factors=(factor1, factor2)
-        )
+        factors = factor1, factor2
+        result = estimate_from_matches(sets, estimator=estimator, seed=seed, hand_over=how, pixel_factors=factors)
         message = result.message
         if result.status is Status.TOO_FEW_MATCHES:
             why = explain_shortage((image1, image2), (features1, features2), chosen.features)
@@ -103,10 +102,9 @@ def estimate_fundamental(
         watch, kind = Stopwatch(), "standard"
         if estimator == "generalized-ransac":
             kind = "generalized"
+            given = {"features1": features1, "features2": features2}
             with watch.step("generalized matches"):
-                matches = generalized_matches(
-                    image1, image2, features=as_paper, features1=features1, features2=features2
-                )
+                matches = generalized_matches(image1, image2, features=as_paper, **given)
         elif ranked is not None:
             matches = ranked.standard
         else:

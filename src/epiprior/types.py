@@ -216,8 +216,8 @@ class FundamentalEstimate:
     message : Why `status` is not ``ok``; empty otherwise.
     seconds : Wall time per step.
     spread : Number of cells of 48 x 48 pixels at working size that hold inliers, in the image where they are fewer
-        (`epiprior.verification.spread`).
-    plausibility : Whether two ordinary cameras can have `raw_F`, in [0, 1] (`epiprior.verification.plausibility`);
+        (`epiprior.verification.measures`).
+    plausibility : Whether two ordinary cameras can have `raw_F`, in [0, 1] (`epiprior.verification.measures`);
         independent of the matches. NaN without an F, and where the sizes of the images are unknown.
     """
 

@@ -41,14 +41,9 @@ class OpenCVEstimator(PartOfEpiprior):
     def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
         """Run ``cv2.findFundamentalMat``; OpenCV tells no iteration count."""
         params = cv2.UsacParams()
-        params.sampler = cv2.SAMPLING_PROSAC
-        params.score = self.score
-        params.loMethod = self.local_optimisation
-        params.loSampleSize = 15
-        params.loIterations = 5
-        params.final_polisher = self.polisher
-        params.threshold = settings.threshold_px
-        params.confidence = settings.confidence
+        params.sampler, params.score, params.final_polisher = cv2.SAMPLING_PROSAC, self.score, self.polisher
+        params.loMethod, params.loSampleSize, params.loIterations = self.local_optimisation, 15, 5
+        params.threshold, params.confidence = settings.threshold_px, settings.confidence
         params.maxIterations = settings.max_iterations or self.max_iterations
         params.randomGeneratorState = seed
         params.isParallel = False

@@ -132,8 +132,7 @@ class Conditioned:
     def to_pixels(self, F: FloatArray) -> FloatArray:
         """Return F of conditioned coordinates as an F of pixels."""
         T1, T2 = (np.array([[1, 0, -c[0]], [0, 1, -c[1]], [0, 0, self.unit_px]]) for c in (self.centre1, self.centre2))
-        pixels: FloatArray = T2.T @ F @ T1
-        return pixels
+        return np.asarray(T2.T @ F @ T1)
 
 
 def condition(matches: MatchSet) -> Conditioned:

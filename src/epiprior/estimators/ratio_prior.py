@@ -46,8 +46,7 @@ def density(ratios: FloatArray, bandwidth: float = BANDWIDTH) -> FloatArray:
     for mirrored in (d, -d, 2.0 - d):
         z = (_GRID[:, None] - mirrored[None, :]) / bandwidth
         total += np.exp(-0.5 * z * z).sum(axis=1)
-    values: FloatArray = total / (len(d) * bandwidth * np.sqrt(2 * np.pi))
-    return values
+    return np.asarray(total / (len(d) * bandwidth * np.sqrt(2 * np.pi)))
 
 
 def inlier_probability(distance_ratio: FloatArray) -> FloatArray:
@@ -71,8 +70,7 @@ def inlier_probability(distance_ratio: FloatArray) -> FloatArray:
         if abs(new - m) < 1e-6:
             break
         m = new
-    probability: FloatArray = m * f_in / (m * f_in + (1 - m) * f_out)
-    return probability
+    return np.asarray(m * f_in / (m * f_in + (1 - m) * f_out))
 
 
 def _mass(table: FloatArray, cut: float) -> float:

@@ -14,10 +14,12 @@ from epiprior.estimators.handover import HandOver, hand_over
 from epiprior.estimators.protocol import EstimatorSettings
 from epiprior.estimators.registry import Fit, fit
 from epiprior.geometry import normalise_fundamental, refine_fundamental, sampson_distance
-from epiprior.types import FloatArray, FundamentalEstimate, ImageSizes, MatchSet, Status
+from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
 from epiprior.verification.chance import chance_rate
 from epiprior.verification.judge import judge
 from epiprior.verification.measures import known_plausibility, spread_of
+
+Factors = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,23 +41,14 @@ def estimate_from_matches(
     seed: int = 0,
     hand_over: HandOver,
     settings: EstimatorSettings | None = None,
-    pixel_factors: tuple[float, float] = (1.0, 1.0),
+    pixel_factors: Factors = (1.0, 1.0),
 ) -> FundamentalEstimate:
-    """Run an estimator on each of the sets and return the best supported F.
+    """Run an estimator on each of the sets, one per roll hypothesis, and return the best supported F.
 
-    Parameters
-    ----------
-    sets : One per roll hypothesis, at least one, each sorted best first; or a single set of standard matches.
-    estimator : Name in the registry.
-    seed : >= 0.
-    hand_over : What the estimator gets of each set, and whether support is collected again and F refined.
-    settings : Instead of the estimator's own with the threshold of `hand_over`.
-    pixel_factors : Given pixels per working pixel in both images; thresholds are meant in working pixels.
-
-    Returns: `iterations` adds up over the sets.
-
-    Raises EstimatorError, FeatureError, SettingsError: as `epiprior.estimators.fit` does; SettingsError also without
-    any set.
+    Each set is sorted best first; standard matches are a single set. Thresholds are meant in working pixels:
+    `pixel_factors` are given pixels per working pixel in both images. `settings` replaces the estimator's own with the
+    threshold of `hand_over`. `iterations` of the result adds up over the sets. Raises what `epiprior.estimators.fit`
+    raises, and SettingsError without any set.
 
     Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F decides,
     each weighted by its probability and each part of the images once, times the plausibility of the cameras
@@ -95,12 +88,7 @@ def estimate_from_matches(
 
 
 def best_fundamental(
-    sets: Sequence[MatchSet],
-    *,
-    estimator: str,
-    seed: int = 0,
-    hand_over: HandOver,
-    pixel_factors: tuple[float, float] = (1.0, 1.0),
+    sets: Sequence[MatchSet], *, estimator: str, seed: int = 0, hand_over: HandOver, pixel_factors: Factors = (1.0, 1.0)
 ) -> FloatArray | None:
     """Return `raw_F` of `estimate_from_matches` for the same arguments, in about half the time: nothing is verified."""
     options = EstimatorSettings(threshold_px=hand_over.threshold_px)
@@ -110,12 +98,7 @@ def best_fundamental(
 
 
 def _try_all(
-    sets: Sequence[MatchSet],
-    estimator: str,
-    seed: int,
-    how: HandOver,
-    options: EstimatorSettings,
-    factors: tuple[float, float],
+    sets: Sequence[MatchSet], estimator: str, seed: int, how: HandOver, options: EstimatorSettings, factors: Factors
 ) -> list[_Hypothesis]:
     scaled = [_scale(matches, 1 / factors[0], 1 / factors[1]) for matches in sets]
     return [_try(matches, estimator, seed, how, options) for matches in scaled]
@@ -125,6 +108,10 @@ def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:
     if factor1 == factor2 == 1.0:
         return matches
     D1, D2 = (np.diag([1 / factor, 1 / factor, 1.0]) for factor in (factor1, factor2))
+    sizes = matches.image_sizes
+    if sizes is not None:
+        (width1, height1), (width2, height2) = sizes
+        sizes = (width1 * factor1, height1 * factor1), (width2 * factor2, height2 * factor2)
     return replace(
         matches,
         x1=matches.x1 * factor1,
@@ -132,18 +119,11 @@ def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:
         scale1=matches.scale1 * factor1,
         scale2=matches.scale2 * factor2,
         rough_matrices=D2 @ matches.rough_matrices @ D1,
-        image_sizes=_scaled_sizes(matches.image_sizes, factor1, factor2),
+        image_sizes=sizes,
     )
 
 
-def _scaled_sizes(sizes: ImageSizes | None, factor1: float, factor2: float) -> ImageSizes | None:
-    if sizes is None:
-        return None
-    (width1, height1), (width2, height2) = sizes
-    return (width1 * factor1, height1 * factor1), (width2 * factor2, height2 * factor2)
-
-
-def _to_given_pixels(F: FloatArray, factors: tuple[float, float]) -> FloatArray | None:
+def _to_given_pixels(F: FloatArray, factors: Factors) -> FloatArray | None:
     if factors == (1.0, 1.0):
         return F
     D1, D2 = (np.diag([1 / factor, 1 / factor, 1.0]) for factor in factors)
@@ -163,16 +143,12 @@ def _try(matches: MatchSet, estimator: str, seed: int, how: HandOver, settings: 
         F = refine_fundamental(F, wide.x1, wide.x2, weights)
     if how.collect:
         score = spread_evidence(F, matches)
-        wide = _worth_having(F, wide, weights, settings.threshold_px)
+        # Drop the matches that are likelier wrong than right even where they agree with F (Bayes).
+        rate = chance_rate(F, wide.x1, wide.x2, settings.threshold_px)
+        wide = wide.take(weights > rate * (1.0 - weights))
     else:
         score = float(np.count_nonzero(sampson_distance(F, wide.x1, wide.x2) < settings.threshold_px))
     return _Hypothesis(found=found, handed=handed, collected=wide, F=F, score=score, roll_deg=roll_deg)
-
-
-def _worth_having(F: FloatArray, matches: MatchSet, weights: FloatArray, threshold_px: float) -> MatchSet:
-    """Drop the matches that are likelier wrong than right even where they agree with F (Bayes)."""
-    rate = chance_rate(F, matches.x1, matches.x2, threshold_px)
-    return matches.take(weights > rate * (1.0 - weights))
 
 
 def _status(tried: Sequence[_Hypothesis], best: _Hypothesis, threshold_px: float) -> tuple[Status, str]:
@@ -182,8 +158,7 @@ def _status(tried: Sequence[_Hypothesis], best: _Hypothesis, threshold_px: float
         telling = next((h.found for h in tried if h.found.status is Status.NO_MODEL), best.found)
         return telling.status, telling.message
     status, message = judge(best.F, best.handed.x1, best.handed.x2, threshold_px)
-    if status is not Status.OK and best.collected is not best.handed:
-        wider, _ = judge(best.F, best.collected.x1, best.collected.x2, threshold_px)
-        if wider is Status.OK:
-            return Status.OK, ""
-    return status, message
+    if status is Status.OK or best.collected is best.handed:
+        return status, message
+    wider = judge(best.F, best.collected.x1, best.collected.x2, threshold_px)
+    return wider if wider[0] is Status.OK else (status, message)

@@ -19,12 +19,7 @@ def compiled(function: Callable[..., Any] | None = None, /, **options: Any) -> A
     """Compile a function at its first call: ``numba.njit`` without Python's lock, and with a cache on disk.
 
     Where neither the folder of the module nor the user's cache can be written, numba has no place for its cache: the
-    kernels are then compiled anew in every process, and a warning says so once.
-
-    Parameters
-    ----------
-    function : Left out where the decorator has options.
-    **options : Of ``numba.njit``.
+    kernels are then compiled anew in every process, and a warning says so once. `options` are those of ``numba.njit``.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -49,11 +44,7 @@ def _warn_of_no_cache() -> None:
 def announce_compilation(kernel: Any, of: str, wait: str) -> None:
     """Log at INFO, once per process and kernel, if a compiled kernel is not in numba's cache yet.
 
-    Parameters
-    ----------
-    kernel : dispatcher of numba. Stands for all kernels that are compiled along with it.
-    of : What they belong to.
-    wait : How long that takes on an ordinary machine.
+    `kernel` stands for all that are compiled along with it, `of` says what they belong to, `wait` how long that takes.
     """
     if kernel in _asked:
         return

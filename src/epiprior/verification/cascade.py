@@ -54,14 +54,10 @@ class CascadeRule:
 
 
 def load_cascade_rule(path: Path | None = None) -> CascadeRule:
-    """Return the rule of the cascade.
+    """Return the rule of the cascade: JSON of the form ``{"min_plausibility": ...}``.
 
-    Parameters
-    ----------
-    path : JSON of the form ``{"min_plausibility": ...}``. None: the file that comes with the models; where there is
-        none, the defaults of `CascadeRule`.
-
-    Raises SettingsError if the file cannot be read, or names a value that does not exist or is out of range.
+    None: the file that comes with the models; where there is none, the defaults of `CascadeRule`. Raises SettingsError
+    if the file cannot be read, or names a value that does not exist or is out of range.
     """
     found = path if path is not None else find_cascade_rule()
     return CascadeRule() if found is None else parse_settings(str(found), read_settings_file(found), CascadeRule())

@@ -28,23 +28,16 @@ _PRIOR_PAIRINGS = 50.0
 def distinct_count(x1: FloatArray, x2: FloatArray) -> int:
     """Return how many matches remain if those that share a point, in either image, count once.
 
-    The smaller of the numbers of distinct points in the two images: an upper bound, exact for one-to-one matches.
+    An upper bound, exact for one-to-one matches: the smaller of the numbers of distinct points in the two images.
     """
     return min(len(first_of_equal(x)) for x in (x1, x2))
 
 
 def chance_rate(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> float:
-    """Return the probability that a random match lies within `threshold_px` of F.
+    """Return the probability, in (0, 1), that a random match lies within a Sampson distance of `threshold_px` of F.
 
-    Parameters
-    ----------
-    F : (3, 3). Fundamental matrix.
-    x1, x2 : (N, 2) float64. Matches, pixels; points of different rows are joined, about 20,000 pairings. N = 0 is
-        allowed.
-    threshold_px : On the Sampson distance.
-
-    Returns: In (0, 1). Few matches give few pairings; the rate is then drawn towards that of a strip of the threshold's
-    width across the rectangle that the points fill.
+    Points of different matches, shape (N, 2), are joined to about 20,000 pairings. Few matches give few pairings; the
+    rate is then drawn towards that of a strip of the threshold's width across the rectangle that the points fill.
     """
     n = len(x1)
     if n < 2:
@@ -53,8 +46,7 @@ def chance_rate(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: flo
     partner = (np.arange(n) - shifts[:, None]) % n
     y1, y2 = np.tile(x1, (len(shifts), 1)), x2[partner.reshape(-1)]
     hits = int(np.count_nonzero(sampson_distance(F, y1, y2) < threshold_px))
-    # The mean chord of a w x h rectangle is pi w h / (2 (w + h)); a Sampson threshold t is a strip of 2
-    # sqrt(2) t.
+    # The mean chord of a w x h rectangle is pi w h / (2 (w + h)); a Sampson threshold t is a strip of 2 sqrt(2) t.
     extent = max(float(np.ptp(x2, axis=0).sum()), 1e-9)
     strip = min(math.sqrt(2.0) * math.pi * threshold_px / extent, 1.0)
     return min((hits + _PRIOR_PAIRINGS * strip) / (len(y1) + _PRIOR_PAIRINGS), 1.0)
@@ -63,16 +55,10 @@ def chance_rate(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: flo
 def beyond_chance(supporters: int, matches: int, rate: float, fitted: int, *, level: float = 1.0) -> bool:
     """Return whether `supporters` of `matches` are more than the best of many random hypotheses would have.
 
-    Parameters
-    ----------
-    supporters, matches : How many of how many matches agree with the hypothesis.
-    rate : Probability that a random match agrees with a hypothesis it did not make.
-    fitted : Matches that make a hypothesis and agree with it for free: 7 for F, 2 for an F given a plane.
-    level : How many hypotheses may be expected to reach `supporters` by chance, > 0.
-
-    Returns: True where fewer than `level` of the hypotheses are expected to reach `supporters` by chance. As many
-    hypotheses are counted as can be drawn, up to 100,000 (20,000 samples of up to three matrices each, and their local
-    optimisation).
+    True where fewer than `level` of the hypotheses are expected to reach `supporters` by chance. As many are counted as
+    can be drawn, up to 100,000 (20,000 samples of up to three matrices each, and their local optimisation). `rate` is
+    the probability that a random match agrees with a hypothesis it did not make; `fitted` matches make a hypothesis and
+    agree with it for free: 7 for F, 2 for an F given a plane.
     """
     free = matches - fitted
     if supporters <= fitted or free <= 0:
@@ -83,14 +69,8 @@ def beyond_chance(supporters: int, matches: int, rate: float, fitted: int, *, le
 def expected_by_chance(agrees: BoolArray, rates: FloatArray, fitted: int) -> float:
     """Return how many random hypotheses are expected to have as many supporters; each match has a rate of its own.
 
-    Parameters
-    ----------
-    agrees : (N,) bool. Which matches agree with the hypothesis. N = 0 is allowed.
-    rates : (N,) float64. Probability of each that it agrees with a hypothesis it did not make, in [0, 1].
-    fitted : Matches that make a hypothesis and agree with it for free: of those that agree, the least probable.
-
-    Returns: In [0, `HYPOTHESES`]; ``inf`` where no more matches agree than make a hypothesis. What `beyond_chance`
-    compares with its level, for rates that are all alike.
+    What `beyond_chance` compares with its level, for `rates`, shape (N,), in [0, 1]. Of the matches that agree, the
+    `fitted` least probable make a hypothesis and agree for free; ``inf`` where no more agree than that.
     """
     supporters = np.flatnonzero(agrees)
     if len(supporters) <= fitted:

@@ -27,20 +27,12 @@ _SINGULAR = 1e-15
 
 @dataclass(frozen=True, kw_only=True)
 class DecidedLevels:
-    """When F is held to be decided against a dominant plane; chosen together, see the Notes of `why_degenerate`.
+    """When F is held to be decided against a dominant plane; chosen together, see `why_degenerate`."""
 
-    Parameters
-    ----------
-    expected : Fewer random hypotheses are expected to have as many supporters off the plane, > 0.
-    off_plane_share : Where more of the inliers lie off the plane, it is no dominant one, in [0, 1], and
-    expected_above_share : so many may be expected, > 0.
-    parallax : Noise has such a direction with a lower probability, in (0, 1).
-    """
-
-    expected: float = 1.0
-    off_plane_share: float = 0.25
-    expected_above_share: float = 1_000.0
-    parallax: float = 1e-5
+    expected: float = 1.0  # fewer random hypotheses are expected to have as many supporters off the plane, > 0
+    off_plane_share: float = 0.25  # where more of the inliers lie off the plane, it is no dominant one, and
+    expected_above_share: float = 1_000.0  # so many may be expected, > 0
+    parallax: float = 1e-5  # noise has residuals that run along the epipolar lines with a lower probability
 
 
 LEVELS = DecidedLevels()
@@ -48,19 +40,12 @@ LEVELS = DecidedLevels()
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneEvidence:
-    """What speaks against F being one of the many that a plane allows.
+    """What speaks against F being one of the many that a plane allows."""
 
-    Parameters
-    ----------
-    on_plane, off_plane : Distinct inliers of F on its dominant plane, and off it.
-    expected : Random hypotheses that are expected to have as many inliers off the plane; ``inf`` below three.
-    parallax : Probability that residuals from the plane run along the epipolar lines by chance as often as they do.
-    """
-
-    on_plane: int
-    off_plane: int
-    expected: float
-    parallax: float
+    on_plane: int  # distinct inliers of F on its dominant plane
+    off_plane: int  # and off it
+    expected: float  # random hypotheses expected to have as many inliers off the plane; ``inf`` below three
+    parallax: float  # probability that residuals run along the epipolar lines by chance as often as they do
 
     def decides(self, levels: DecidedLevels = LEVELS) -> bool:
         """Return whether F is decided."""
@@ -78,17 +63,10 @@ def why_degenerate(
     rate: float | None = None,
     levels: DecidedLevels = LEVELS,
 ) -> str:
-    """Say why the inliers leave F undecided; an empty string if they decide it.
+    """Say why the inliers leave F undecided, in words for a reader; an empty string if they decide it.
 
-    Parameters
-    ----------
-    F : (3, 3). The estimate.
-    x1, x2 : (N, 2) float64. All the matches that F was estimated from, inliers and outliers, pixels.
-    threshold_px : Inlier threshold on the Sampson distance.
-    rate : `chance_rate` of these arguments, where it is known already.
-    levels : How much evidence off the plane decides F.
-
-    Returns: ``""``, or a reason for a reader: identical images, points on a line, or one homography.
+    `x1` and `x2`, shape (N, 2), pixels, are all the matches that F was estimated from; `rate` is their `chance_rate`,
+    where it is known already; `threshold_px` is meant for the Sampson distance.
 
     The plane's homography is fitted robustly to the inliers of F; a match is of the plane up to 8/3 of the threshold,
     since at the threshold itself matches that are merely inaccurate would count as off it. F is decided if either
@@ -122,7 +100,9 @@ def why_degenerate(
         return "nothing moved between the images: they are identical, or the camera stood still"
     for name, x in (("1", x1), ("2", x2)):
         beside = ~_near_line(x, x[inliers], plane_px)
-        if not _decided_by(x1, x2, inliers, beside, rate=rate, fitted=_MATCHES_BESIDE_LINE):
+        supporters = distinct_count(x1[inliers & beside], x2[inliers & beside])
+        matches = distinct_count(x1[beside], x2[beside])
+        if not beyond_chance(supporters, matches, rate, _MATCHES_BESIDE_LINE, level=_LINE_LEVEL):
             return f"the inliers lie on one line in image {name}"
     found = plane_evidence(F, x1, x2, threshold_px=threshold_px, plane_px=plane_px, rate=rate)
     if found is None or found.decides(levels):
@@ -138,10 +118,7 @@ def plane_evidence(
 ) -> PlaneEvidence | None:
     """Return what speaks against F being one of the many that its dominant plane allows; None without a plane.
 
-    Parameters
-    ----------
-    F, x1, x2, threshold_px, rate : As for `why_degenerate`.
-    plane_px : From this distance on a match lies off the plane, pixels.
+    Arguments as for `why_degenerate`; a match lies off the plane from `plane_px` on.
     """
     inliers = sampson_distance(F, x1, x2) < threshold_px
     H = fit_homography(x1[inliers], x2[inliers], plane_px)
@@ -183,35 +160,20 @@ def _agreement_by_chance(
         off_line = ((place * line2[:, :2]).sum(axis=1) + line2[:, 2]) / steep2
         length = np.linalg.norm(x2 - place, axis=1)
         ends = [np.arcsin(np.clip((end - off_line) / length, -1.0, 1.0)) for end in (reach, -reach)]
-    chance: FloatArray = np.nan_to_num((ends[0] - ends[1]) / np.pi, nan=1.0)
-    return chance
-
-
-def _decided_by(
-    x1: FloatArray, x2: FloatArray, inliers: BoolArray, outside: BoolArray, *, rate: float, fitted: int
-) -> bool:
-    """Return whether more of the matches `outside` the degenerate part agree with F than chance gives."""
-    supporters = distinct_count(x1[inliers & outside], x2[inliers & outside])
-    return beyond_chance(supporters, distinct_count(x1[outside], x2[outside]), rate, fitted, level=_LINE_LEVEL)
+    return np.asarray(np.nan_to_num((ends[0] - ends[1]) / np.pi, nan=1.0))
 
 
 def fit_homography(x1: FloatArray, x2: FloatArray, threshold_px: float) -> FloatArray | None:
     """Return the homography with ``x2 ~ H x1`` that most matches agree with, or None; deterministic.
 
-    Parameters
-    ----------
-    x1, x2 : (N, 2) float64. Matches, pixels.
-    threshold_px : On `homography_distance`.
+    A match agrees where its `homography_distance` is below `threshold_px`.
     """
     if _at_most(3, x1, x2):
         return None
     params = cv2.UsacParams()
-    params.sampler = cv2.SAMPLING_UNIFORM
-    params.score = cv2.SCORE_METHOD_MSAC
+    params.sampler, params.score = cv2.SAMPLING_UNIFORM, cv2.SCORE_METHOD_MSAC
     params.loMethod = cv2.LOCAL_OPTIM_INNER_AND_ITER_LO
-    params.threshold = threshold_px
-    params.confidence = 0.999
-    params.maxIterations = 2_000
+    params.threshold, params.confidence, params.maxIterations = threshold_px, 0.999, 2_000
     try:
         H, _ = cv2.findHomography(x1, x2, params)
     except cv2.error:
@@ -245,15 +207,13 @@ def homography_distance(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatA
     except np.linalg.LinAlgError:
         back = np.full((3, 3), np.nan)
     backward = np.linalg.norm(_transfer(back, x2) - x1, axis=1)
-    smaller: FloatArray = np.nan_to_num(np.fmin(forward, backward), nan=np.inf)
-    return smaller
+    return np.asarray(np.nan_to_num(np.fmin(forward, backward), nan=np.inf))
 
 
 def _transfer(H: FloatArray, x: FloatArray) -> FloatArray:
     y = x @ H[:, :2].T + H[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        mapped: FloatArray = y[:, :2] / y[:, 2:]
-    return mapped
+        return np.asarray(y[:, :2] / y[:, 2:])
 
 
 def _near_line(x: FloatArray, support: FloatArray, threshold_px: float) -> BoolArray:
@@ -270,8 +230,7 @@ def _near_line(x: FloatArray, support: FloatArray, threshold_px: float) -> BoolA
         before, near = near, distance <= max(threshold_px, median)
         if np.array_equal(before, near):
             break
-    beside: BoolArray = np.abs((x[:, 0] - centre[0]) * across[0] + (x[:, 1] - centre[1]) * across[1]) < threshold_px
-    return beside
+    return np.asarray(np.abs((x[:, 0] - centre[0]) * across[0] + (x[:, 1] - centre[1]) * across[1]) < threshold_px)
 
 
 def _smallest_spread(u: FloatArray, v: FloatArray) -> tuple[float, float]:

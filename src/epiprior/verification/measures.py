@@ -24,20 +24,13 @@ FOCAL_LENGTHS = np.geomspace(0.6, 2.5, 13)
 
 
 def camera_plausibility(models: FloatArray, image_sizes: ImageSizes | None) -> FloatArray:
-    """Return how nearly each F becomes an essential matrix for some focal length that photographs have.
+    """Return how nearly each F becomes an essential matrix for some focal length of photographs: (K,), in [0, 1].
 
-    Parameters
-    ----------
-    models : (K, 3, 3) float64. Fundamental matrices.
-    image_sizes : Width and height of both images, in the pixels of `models`. None where unknown.
-
-    Returns: (K,) float64. In [0, 1]: the highest ratio of the second to the first singular value of ``K2' F K1`` over
-    focal lengths from 0.6 to 2.5 times the longer side of each image, the same for both, with the principal points at
-    the centres. It is 1 for ideal cameras, and about 0.75 in the median for an F that outliers made. 1 where sizes are
-    unknown.
-
-    A crop, a shifted lens or two very different zooms lower the value of a right F towards that of wrong ones. It then
-    tells nothing; it does not mislead.
+    It is the highest ratio of the second to the first singular value of ``K2' F K1`` over focal lengths from 0.6 to 2.5
+    times the longer side of each image, the same for both, with the principal points at the centres. It is 1 for ideal
+    cameras and where `image_sizes`, in the pixels of `models`, are unknown, and about 0.75 in the median for an F that
+    outliers made. A crop, a shifted lens or two very different zooms lower the value of a right F towards that of wrong
+    ones. It then tells nothing; it does not mislead.
     """
     best = np.zeros(len(models))
     if image_sizes is None or not len(models):
@@ -47,7 +40,8 @@ def camera_plausibility(models: FloatArray, image_sizes: ImageSizes | None) -> F
         E = K2.T @ models @ K1
         # Of rank two: the sum and the product of the squared singular values give both.
         total = (E**2).sum(axis=(1, 2))
-        product = (_cofactors(E) ** 2).sum(axis=(1, 2))
+        cofactors = np.stack([np.cross(E[:, i], E[:, j]) for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
+        product = (cofactors**2).sum(axis=(1, 2))
         first = (total + np.sqrt(np.maximum(total * total - 4.0 * product, 0.0))) / 2.0
         first_sq = first * first
         ratio_sq = np.divide(product, first_sq, out=np.zeros_like(first), where=first_sq > 0)
@@ -66,11 +60,6 @@ def _intrinsics(size: tuple[float, float], focal: float) -> FloatArray:
     width, height = size
     f = focal * max(width, height)
     return np.array([[f, 0.0, (width - 1) / 2], [0.0, f, (height - 1) / 2], [0.0, 0.0, 1.0]])
-
-
-def _cofactors(E: FloatArray) -> FloatArray:
-    rows = [np.cross(E[:, i], E[:, j]) for i, j in ((1, 2), (2, 0), (0, 1))]
-    return np.stack(rows, axis=1)
 
 
 def spread_of(x1: FloatArray, x2: FloatArray) -> int:

@@ -24,20 +24,15 @@ _STOOD_STILL = 0.9  # more of the matches in place are no overlay: see `why_dege
 def why_overlay(F: FloatArray, x1: FloatArray, x2: FloatArray, *, threshold_px: float, rate: float) -> str:
     """Say that F rests on an overlay; an empty string if more matches elsewhere support it than chance gives.
 
-    Parameters
-    ----------
-    F : (3, 3). The estimate.
-    x1, x2 : (N, 2) float64. All the matches that F was estimated from, inliers and outliers, working pixels.
-    threshold_px : Inlier threshold on the Sampson distance.
-    rate : `chance_rate` of these arguments.
-
-    There is an overlay where at least 3 matches stay in place, within 1 px, and more than are displaced by 2 to 5 px:
-    displacements of a scene are spread out, those of an overlay are not. All displacements that are as frequent and as
-    isolated count as the overlay's. Matches of which both ends lie within 48 px of it say nothing about the scene.
+    `x1` and `x2`, shape (N, 2), working pixels, are all the matches that F was estimated from; `rate` is their
+    `chance_rate`. There is an overlay where at least 3 matches stay in place, within 1 px, and more than are displaced
+    by 2 to 5 px: displacements of a scene are spread out, those of an overlay are not. All displacements that are as
+    frequent and as isolated count as the overlay's. Matches of which both ends lie within 48 px of it say nothing about
+    the scene.
 
     Of 14 estimates with the status ``ok`` on unrelated textures that share a tiled watermark, bars or a time stamp 12
-    are refused; in the other two no match stays in place. Of 95 on 35 pairs of photographs from ten sequences, some of
-    which hardly move, none is.
+    are refused; in the other two no match stays in place. Of 95 on 35 pairs of photographs from ten sequences, some
+    of which hardly move, none is.
     """
     moved = x2 - x1
     length = np.linalg.norm(moved, axis=1)
