@@ -70,12 +70,8 @@ def normalise_fundamental(F: FloatArray) -> FloatArray | None:
 def sampson_distance(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
     """Return the Sampson distance of each match, in pixels: shape (N,), >= 0; inf where no epipolar line is defined.
 
-    Parameters
-    ----------
-    F : (3, 3). Fundamental matrix with ``x2' F x1 = 0``; any non-zero scale.
-    x1, x2 : (N, 2) float64. Matched points, pixels. ``N = 0`` is allowed.
-
-    Raises FeatureError if shapes disagree. Reference: Hartley and Zisserman, equation 11.9 (its square).
+    `F` is of any non-zero scale; `x1` and `x2` are pixels, shape (N, 2), N = 0 is allowed. Raises FeatureError if
+    shapes disagree. Reference: Hartley and Zisserman, equation 11.9 (its square).
     """
     if x1.shape != x2.shape or x1.ndim != 2 or x1.shape[1] != 2:
         raise FeatureError(f"x1 and x2 have shapes {x1.shape} and {x2.shape}, expected (N, 2) twice")
@@ -109,11 +105,7 @@ def centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray
 def eight_point(x1: FloatArray, x2: FloatArray, weights: FloatArray | None = None) -> FloatArray | None:
     """Return the normalised (weighted) eight-point estimate (Hartley and Zisserman, algorithm 11.1).
 
-    Parameters
-    ----------
-    x1, x2 : (N, 2) float64. Matches, pixels, N >= 8.
-    weights : (N,) float64. Non-negative weight of each match's squared algebraic residual.
-
+    `x1` and `x2` are pixels, shape (N, 2), N >= 8; `weights`, shape (N,), >= 0, are of the squared algebraic residuals.
     Returns shape (3, 3), as by `normalise_fundamental`; None for fewer than 8 matches of positive weight or where the
     points decide nothing.
     """

@@ -26,9 +26,7 @@ def oriented_pairs(matches: MatchSet, count: int, min_distance_px: float) -> Flo
     """
     head = matches.take(slice(count))
     i, j = np.triu_indices(len(head), 1)
-    far = np.ones(len(i), np.bool_)
-    for x in (head.x1, head.x2):
-        far &= np.linalg.norm(x[i] - x[j], axis=1) >= min_distance_px
+    far = np.all([np.linalg.norm(x[i] - x[j], axis=1) >= min_distance_px for x in (head.x1, head.x2)], axis=0)
     corners = 4 * np.column_stack([np.repeat(i[far, None], 4, axis=1), np.repeat(j[far, None], 4, axis=1)])
     rows = corners + np.tile(np.arange(4), 2)
     y1 = _with_frame(head.x1, head.scale1, head.orientation1_deg)
@@ -44,15 +42,13 @@ def _with_frame(x: FloatArray, scale: FloatArray, orientation_deg: FloatArray) -
 
 
 def progressive_rows(matches: int, samples: int) -> IntArray:
-    """Return samples of eight different matches from heads of the ranking that grow from the best to all.
+    """Return samples of eight matches, (samples, 8), from heads of the ranking that grow from the best to all.
 
-    Returns shape (samples, 8), int64: the first samples hold the best matches only, the last any. The head grows by the
-    same factor from sample to sample (the schedule of PROSAC in its spirit; ours in its pace).
+    The head grows by the same factor from sample to sample (after the schedule of PROSAC, at a pace of our own).
     """
-    rng = np.random.default_rng(_STATE)
     head = np.geomspace(min(2 * SAMPLE_SIZE, matches), matches, samples).astype(np.int64)
     rows = np.empty((samples, SAMPLE_SIZE), np.int64)
-    draws = rng.random((samples, SAMPLE_SIZE))
+    draws = np.random.default_rng(_STATE).random((samples, SAMPLE_SIZE))
     for k in range(SAMPLE_SIZE):
         # The k-th draw among the rows that are left: skip those drawn before, in increasing order.
         row = (draws[:, k] * (head - k)).astype(np.int64)
@@ -100,5 +96,4 @@ def models_of_plane(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray
     S = np.zeros((len(e), 3, 3))
     S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -e[:, 2], e[:, 1], -e[:, 0]
     models = (S - np.swapaxes(S, 1, 2)) @ (H / np.linalg.norm(H))
-    size = np.linalg.norm(models, axis=(1, 2), keepdims=True)
-    return np.asarray(models / np.maximum(size, 1e-300))
+    return np.asarray(models / np.maximum(np.linalg.norm(models, axis=(1, 2), keepdims=True), 1e-300))

@@ -100,8 +100,7 @@ def best_fundamental(
 def _try_all(
     sets: Sequence[MatchSet], estimator: str, seed: int, how: HandOver, options: EstimatorSettings, factors: Factors
 ) -> list[_Hypothesis]:
-    scaled = [_scale(matches, 1 / factors[0], 1 / factors[1]) for matches in sets]
-    return [_try(matches, estimator, seed, how, options) for matches in scaled]
+    return [_try(_scale(matches, 1 / factors[0], 1 / factors[1]), estimator, seed, how, options) for matches in sets]
 
 
 def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:

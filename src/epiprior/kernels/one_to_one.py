@@ -21,15 +21,10 @@ def _walk(feature1, feature2, used1, used2):  # type: ignore[no-untyped-def]
 
 
 def one_to_one_mask(feature1: NDArray[np.int64], feature2: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which matches remain if a match is skipped whose feature, in either image, was used before.
+    """Return which matches (N,) remain if a match is skipped whose feature, in either image, was used before.
 
-    Parameters
-    ----------
-    feature1, feature2 : (N,) int. Features of the matches, best match first; any numbers >= 0.
-
-    Returns: (N,) bool. A greedy matching: no match could be added to it.
-
-    Raises FeatureError if shapes disagree or a number is negative.
+    `feature1` and `feature2`, shape (N,), best match first, are any numbers >= 0. The result is a greedy matching: no
+    match could be added to it. Raises FeatureError if shapes disagree or a number is negative.
     """
     first, second = np.asarray(feature1, dtype=np.int64), np.asarray(feature2, dtype=np.int64)
     if first.shape != second.shape or first.ndim != 1:
