@@ -102,9 +102,10 @@ def estimate_fundamental(
         watch, kind = Stopwatch(), "standard"
         if estimator == "generalized-ransac":
             kind = "generalized"
-            given = {"features1": features1, "features2": features2}
             with watch.step("generalized matches"):
-                matches = generalized_matches(image1, image2, features=as_paper, **given)
+                matches = generalized_matches(
+                    image1, image2, features=as_paper, features1=features1, features2=features2
+                )
         elif ranked is not None:
             matches = ranked.standard
         else:
