@@ -228,11 +228,7 @@ def _draw_match_row(
 ) -> Picture:
     row = _blank_row(panels, shape)
     visible = np.flatnonzero(panels[0].holds(matches.x1) & panels[1].holds(matches.x2))
-    ends1, ends2, colours = (
-        panels[0].place(matches.x1),
-        panels[1].place(matches.x2),
-        probability_colours(scores),
-    )
+    ends1, ends2, colours = (panels[0].place(matches.x1), panels[1].place(matches.x2), probability_colours(scores))
     lines = row.copy()
     # The worst first, so that the best lie on top.
     for i in visible[::-1]:

@@ -126,10 +126,7 @@ class StandardTable:
 
 
 def standard_table(
-    forward: Neighbours,
-    backward: Neighbours,
-    location_of: tuple[IntArray, IntArray],
-    max_distance_ratio: float,
+    forward: Neighbours, backward: Neighbours, location_of: tuple[IntArray, IntArray], max_distance_ratio: float
 ) -> StandardTable:
     """Collect X_L (d_r up to the limit) and X_B (mutual nearest neighbours) by location (section 4.1).
 

@@ -97,10 +97,7 @@ class Votes:
 
 
 def find_candidates(
-    prepared: PreparedPair,
-    roll_deg: float,
-    settings: PreprocessSettings = DEFAULT,
-    watch: Stopwatch | None = None,
+    prepared: PreparedPair, roll_deg: float, settings: PreprocessSettings = DEFAULT, watch: Stopwatch | None = None
 ) -> Candidates:
     """Cluster the features, match clusters, match 2keypoints (sections 4.2 to 4.4), under one roll hypothesis."""
     watch = watch or Stopwatch()
@@ -151,10 +148,7 @@ def find_candidates(
 
 
 def cast_votes(
-    frames: MatchFrames,
-    pairs: TwoKeypointMatches,
-    probability: FloatArray,
-    settings: PreprocessSettings = DEFAULT,
+    frames: MatchFrames, pairs: TwoKeypointMatches, probability: FloatArray, settings: PreprocessSettings = DEFAULT
 ) -> Votes:
     """Choose the best 2keypoint matches, make a rough F of every two, count their votes (sections 4.4 and 4.5).
 

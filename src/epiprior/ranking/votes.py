@@ -19,12 +19,7 @@ _PAIRS = 1_250
 
 
 def frame_points(
-    frames: MatchFrames,
-    main: IntArray,
-    other: IntArray,
-    *,
-    frame: str = "feature",
-    radius: float = 6.0,
+    frames: MatchFrames, main: IntArray, other: IntArray, *, frame: str = "feature", radius: float = 6.0
 ) -> tuple[FloatArray, FloatArray]:
     """Return the eight point matches that each 2keypoint match gives.
 
@@ -162,11 +157,7 @@ def add_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no
 
 
 def count_votes(
-    F: FloatArray,
-    x1: FloatArray,
-    x2: FloatArray,
-    threshold: float = 3.0,
-    weights: FloatArray | None = None,
+    F: FloatArray, x1: FloatArray, x2: FloatArray, threshold: float = 3.0, weights: FloatArray | None = None
 ) -> tuple[IntArray, FloatArray]:
     """Count for each match the matrices it supports: the paper's sfm.
 
