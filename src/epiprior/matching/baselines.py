@@ -126,8 +126,8 @@ def generalized_matches(
     ncc_threshold : float
         Lowest normalised cross-correlation of two descriptors, in (-1, 1).
     max_candidates : int
-        Ours: of the candidates of a feature, in either image, only so many, the most similar, are kept. Without
-        a limit two brick walls give millions.
+        Of the candidates of a feature, in either image, only so many, the most similar, are kept. This limit is ours:
+        without it two brick walls give millions.
     right_share : float
         Probability, in (0, 1), that one of a feature's candidates is right; its candidates share it.
 
