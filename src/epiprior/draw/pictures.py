@@ -35,21 +35,11 @@ _SUBPIXEL_BITS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class DrawSettings:
-    """What is drawn, and how large.
+    """What is drawn, and how large; SettingsError for a number out of its range."""
 
-    Parameters
-    ----------
-    max_matches : int
-        Number of best matches drawn, one per feature, >= 1.
-    epipolar_lines : int
-        Number of inliers whose epipolar lines are drawn, in 0..8.
-    max_panel_size : int
-        Longer side of each image in the figure, pixels, >= 480; smaller images are not enlarged beyond 480.
-    """
-
-    max_matches: int = 100
-    epipolar_lines: int = 8
-    max_panel_size: int = 1024
+    max_matches: int = 100  # number of best matches drawn, one per feature, >= 1
+    epipolar_lines: int = 8  # number of inliers whose epipolar lines are drawn, in 0..8
+    max_panel_size: int = 1024  # longer side of each image, pixels, >= 480; none is enlarged beyond 480
 
     def __post_init__(self) -> None:
         if self.max_matches < 1:
@@ -88,29 +78,12 @@ def draw_matches(
     *,
     settings: DrawSettings | None = None,
 ) -> Picture:
-    """Draw the best matches of two images and, under them, the epipolar lines of some inliers.
+    """Draw the best matches of two images and, under them, the epipolar lines of some inliers; RGB, (H, W, 3).
 
-    Parameters
-    ----------
-    image1, image2 : str, Path or ndarray
-        A file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA; of any sizes.
-    matches : MatchSet
-        Sorted best first; may be empty. Coloured by probability; where that is NaN (standard matches), by the
-        distance ratio.
-    estimate : FundamentalEstimate, optional
-        Its status and support are written above; its epipolar lines are drawn where it has an F.
-    settings : DrawSettings, optional
-        Numbers and sizes.
-
-    Returns
-    -------
-    ndarray, shape (H, W, 3), uint8
-        RGB.
-
-    Raises
-    ------
-    ImageError
-        If an image cannot be read or has another type or shape.
+    Images are files, or uint8 arrays of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, of any sizes; ImageError for
+    others. `matches`, sorted best first, may be empty; they are coloured by probability, where that is NaN (standard
+    matches) by the distance ratio. The status and support of `estimate` are written above; its epipolar lines are drawn
+    where it has an F.
     """
     settings = settings or DrawSettings()
     panels, shape = _lay_out(_read_rgb(image1), _read_rgb(image2), settings.max_panel_size)
@@ -135,10 +108,7 @@ def draw_matches(
 def write_picture(path: Path, picture: Picture) -> None:
     """Write an RGB picture as PNG or JPEG, by the suffix of `path`; a file is replaced only as a whole.
 
-    Raises
-    ------
-    OutputError
-        If the suffix is unknown or the file cannot be written; the message names the path.
+    OutputError if the suffix is unknown or the file cannot be written; the message names the path.
     """
     from epiprior.io.output import PICTURES, check_output, replacing
 

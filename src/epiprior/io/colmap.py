@@ -28,14 +28,9 @@ _HALF_PIXEL = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class ColmapPair:
-    """Two image files and what was estimated for them.
+    """Two different image files and what was estimated for them.
 
-    Parameters
-    ----------
-    image1, image2 : Path
-        The files, not the same one twice.
-    estimate : FundamentalEstimate
-        Its matches are written; its F and inliers too where its status is ``ok``.
+    The matches of the estimate are written; its F and inliers too where its status is ``ok``.
     """
 
     image1: Path
@@ -48,6 +43,10 @@ def write_colmap_database(
 ) -> None:
     """Write keypoints, matches and two-view geometries of image pairs to a new COLMAP database.
 
+    Features of one image at the very same location (float32) become one keypoint, since an estimate carries locations
+    only. That links the pairs of an image into tracks. Matches are made one-to-one, inliers first, in the order of the
+    estimate. Every image gets its own camera, with COLMAP's guess of the focal length.
+
     Parameters
     ----------
     path : str or Path
@@ -55,8 +54,7 @@ def write_colmap_database(
     pairs : sequence of ColmapPair
         Each pair of images at most once, in either order.
     image_root : str or Path, optional
-        The folder that image names are relative to: what COLMAP calls ``image_path``. By default the deepest
-        folder that holds all images.
+        The folder that image names are relative to, COLMAP's ``image_path``; by default the deepest that holds all.
 
     Raises
     ------
@@ -64,12 +62,6 @@ def write_colmap_database(
         If pycolmap is not installed, `path` exists or cannot be written, or a pair is there twice.
     ImageError
         As `check_colmap_images` does.
-
-    Notes
-    -----
-    An estimate carries locations only, so features of one image at the very same location (float32) become
-    one keypoint. That links the pairs of an image into tracks. Matches are made one-to-one, inliers first, in
-    the order of the estimate. Every image gets its own camera, with COLMAP's guess of the focal length.
     """
     path = Path(path)
     pycolmap = check_colmap_output(path)
@@ -121,18 +113,9 @@ def _check_pairs(path: Path, pairs: Sequence[ColmapPair]) -> None:
 def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = None) -> dict[Path, str]:
     """Return what COLMAP calls the images, by absolute path, after checking that it will see them as we do.
 
-    Parameters
-    ----------
-    images : sequence of Path
-        The files.
-    image_root : str or Path, optional
-        The folder that names are relative to; by default the deepest one that holds all images.
-
-    Raises
-    ------
-    ImageError
-        If an image is missing, no image, given twice, outside `image_root`, turned by its EXIF data (COLMAP, which does
-        not turn images, would see other coordinates), or has a name that is not UTF-8, which a database cannot hold.
+    ImageError if an image is missing, no image, given twice, outside `image_root`, turned by its EXIF data (COLMAP,
+    which does not turn images, would see other coordinates), or has a name that is not UTF-8, which a database cannot
+    hold.
     """
     paths = [_absolute(image) for image in images]
     if image_root is not None:

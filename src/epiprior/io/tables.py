@@ -55,8 +55,7 @@ def write_matches(path: str | Path, matches: MatchSet | RankedMatches | Sequence
     path : str or Path
         Ends in ``.csv`` (nine significant digits, which is more than float32 holds) or ``.npz`` (exact).
     matches : MatchSet, RankedMatches or sequence of MatchSet
-        Of `RankedMatches`, all sets are written, not the standard matches. A set without matches leaves no
-        rows.
+        Of `RankedMatches`, all sets, not the standard matches. A set without matches leaves no rows.
 
     Raises
     ------
@@ -79,23 +78,18 @@ def write_matches(path: str | Path, matches: MatchSet | RankedMatches | Sequence
 
 
 def read_matches(path: str | Path) -> tuple[MatchSet, ...]:
-    """Read what `write_matches` wrote.
+    """Read what `write_matches` wrote: one set per value of ``set``, ascending; none for a table without rows.
 
     Parameters
     ----------
     path : str or Path
         A ``.csv`` or ``.npz`` file; columns in any order, further columns are ignored.
 
-    Returns
-    -------
-    tuple of MatchSet
-        One per value of ``set``, ascending; empty for a table without rows.
-
     Raises
     ------
     FeatureError
-        If the file is missing, no such table, lacks a column, or holds something else than numbers; the
-        message names the file and the line or column.
+        If the file is missing, no such table, lacks a column, or holds something else than numbers; the message names
+        the file and the line or column.
     """
     path = Path(path)
     if path.suffix.lower() not in TABLES:
