@@ -23,7 +23,7 @@ from epiprior.io.output import check_output, replacing
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray
 
-_HALF_PIXEL = 0.5
+_HALF_PIXEL = 0.5  # COLMAP has the centre of the top-left pixel there
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,13 @@ def write_colmap_database(
     path = Path(path)
     pycolmap = check_colmap_output(path)
     pairs = [replace(p, image1=_absolute(p.image1), image2=_absolute(p.image2)) for p in pairs]
-    _check_pairs(path, pairs)
+    seen: set[frozenset[Path]] = set()
+    for pair in pairs:
+        if pair.image1 == pair.image2:
+            raise OutputError(f"{path}: {pair.image1} is paired with itself")
+        if (key := frozenset((pair.image1, pair.image2))) in seen:
+            raise OutputError(f"{path}: the pair {pair.image1}, {pair.image2} is there twice")
+        seen.add(key)
     images = sorted({image for pair in pairs for image in (pair.image1, pair.image2)})
     names = check_colmap_images(images, image_root)
     keypoints, indices = _keypoints(images, pairs)
@@ -74,8 +80,8 @@ def write_colmap_database(
         database = pycolmap.Database.open(partial)
         try:
             ids = {image: _write_image(pycolmap, database, image, names[image], keypoints[image]) for image in images}
-            for pair, (index1, index2) in zip(pairs, indices, strict=True):
-                _write_pair(pycolmap, database, pair.estimate, (ids[pair.image1], ids[pair.image2]), (index1, index2))
+            for pair, both in zip(pairs, indices, strict=True):
+                _write_pair(pycolmap, database, pair.estimate, (ids[pair.image1], ids[pair.image2]), both)
         except RuntimeError as error:
             raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
         finally:
@@ -99,17 +105,6 @@ def _absolute(image: Path) -> Path:
     return Path(os.path.abspath(image))  # noqa: PTH100
 
 
-def _check_pairs(path: Path, pairs: Sequence[ColmapPair]) -> None:
-    seen: set[frozenset[Path]] = set()
-    for pair in pairs:
-        key = frozenset((pair.image1, pair.image2))
-        if len(key) < 2:
-            raise OutputError(f"{path}: {pair.image1} is paired with itself")
-        if key in seen:
-            raise OutputError(f"{path}: the pair {pair.image1}, {pair.image2} is there twice")
-        seen.add(key)
-
-
 def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = None) -> dict[Path, str]:
     """Return what COLMAP calls the images, by absolute path, after checking that it will see them as we do.
 
@@ -118,10 +113,9 @@ def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = 
     hold.
     """
     paths = [_absolute(image) for image in images]
-    if image_root is not None:
-        root = _absolute(Path(image_root))
-    else:
-        root = Path(os.path.commonpath([path.parent for path in paths])) if paths else Path()
+    if image_root is None:
+        image_root = os.path.commonpath([path.parent for path in paths] or ["."])
+    root = _absolute(Path(image_root))
     names: dict[Path, str] = {}
     for path in paths:
         if path in names:
@@ -178,16 +172,11 @@ def _write_image(pycolmap: Any, database: Any, image: Path, name: str, keypoints
 
 
 def _write_pair(
-    pycolmap: Any,
-    database: Any,
-    estimate: FundamentalEstimate,
-    ids: tuple[int, int],
-    indices: tuple[IntArray, IntArray],
+    pycolmap: Any, database: Any, estimate: FundamentalEstimate, ids: tuple[int, int], indices: Sequence[IntArray]
 ) -> None:
-    index1, index2 = indices
     order = np.argsort(~estimate.inliers, kind="stable")
-    order = order[one_to_one_mask(index1[order], index2[order])]
-    matches = np.column_stack([index1, index2])[order].astype(np.uint32)
+    order = order[one_to_one_mask(*(index[order] for index in indices))]
+    matches = np.column_stack(indices)[order].astype(np.uint32)
     if not len(matches):
         return
     database.write_matches(*ids, matches)

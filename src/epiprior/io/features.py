@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from epiprior.errors import FeatureError
 from epiprior.types import Features, Float32Array, FloatArray
 
-# Where COLMAP has the centre of the top-left pixel.
-_HALF_PIXEL = 0.5
+_HALF_PIXEL = 0.5  # COLMAP has the centre of the top-left pixel there
 _HLOC_FRAMES = ("scales", "oris")
 _HLOC_PARTS = ("keypoints", "descriptors", "image_size", *_HLOC_FRAMES)
 _COLMAP_TABLES = frozenset({"cameras", "images", "keypoints", "descriptors"})
@@ -134,13 +133,18 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
         with h5py.File(path, "r") as file:
             group = file.get(image_name)
             if not isinstance(group, h5py.Group):
-                raise FeatureError(f"{path}: has no image {image_name!r} among its {_count_images(file)} images")
+                names: list[str] = []
+                file.visit(names.append)
+                count = sum(name.endswith("/keypoints") for name in names)
+                raise FeatureError(f"{path}: has no image {image_name!r} among its {count} images")
             items = {name: group.get(name) for name in _HLOC_PARTS}
             data = {name: np.asarray(item) for name, item in items.items() if isinstance(item, h5py.Dataset)}
     except (OSError, RuntimeError) as error:
         raise FeatureError(f"{path}: not an h5 file that can be read: {error}") from error
     where = f"{path}: image {image_name!r}"
-    _check_numbers(where, data)
+    for name, value in data.items():
+        if value.dtype.kind not in "iuf":
+            raise FeatureError(f"{where}: {name} is of type {value.dtype}, expected numbers")
     missing = [name for name in _HLOC_PARTS if name not in data]
     if any(name not in _HLOC_FRAMES for name in missing):
         raise FeatureError(f"{where} has no {', '.join(missing)}")
@@ -186,19 +190,6 @@ def _check_is_colmap(database: Path, image_name: str) -> None:
                         )
     except sqlite3.Error as error:
         raise FeatureError(f"{database}: not a COLMAP database: {error}") from error
-
-
-def _check_numbers(where: str, data: dict[str, NDArray[Any]]) -> None:
-    for name, value in data.items():
-        if value.dtype.kind not in "iuf":
-            raise FeatureError(f"{where}: {name} is of type {value.dtype}, expected numbers")
-
-
-def _count_images(file: Any) -> int:
-    """Return how many groups of an h5 file, at any depth, hold keypoints."""
-    names: list[str] = []
-    file.visit(names.append)
-    return sum(name.endswith("/keypoints") for name in names)
 
 
 def _colmap_frames(where: str, keypoints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -43,7 +43,9 @@ def replacing(path: Path) -> Iterator[Path]:
         partial = Path(name)
         yield partial
         # mkstemp makes files for the owner alone; a result is an ordinary file.
-        partial.chmod(0o666 & ~_umask())
+        mask = os.umask(0o022)
+        os.umask(mask)
+        partial.chmod(0o666 & ~mask)
         partial.replace(path)
     except OutputError:
         raise
@@ -52,9 +54,3 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         if partial is not None:
             partial.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask
