@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.draw.captions import INK, PAPER, Colour, Picture, draw_header, draw_label, probability_colours
-from epiprior.errors import FeatureError, ImageError, SettingsError
+from epiprior.errors import ImageError, SettingsError
 from epiprior.features.images import Image, read_image
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray, MatchSet
 
@@ -97,10 +97,11 @@ def draw_matches(
         _draw_match_row(panels, shape, best, scores),
     ]
     if estimate is not None and estimate.F is not None and settings.epipolar_lines:
-        chosen = _spread(estimate.x1[estimate.inliers], settings.epipolar_lines)
+        chosen = np.flatnonzero(estimate.inliers)
+        chosen = chosen[_spread(estimate.x1[chosen], settings.epipolar_lines)]
         rows += [
             draw_label(width, f"epipolar lines of {len(chosen)} inliers"),
-            _draw_epipolar_row(panels, shape, estimate, chosen),
+            _draw_epipolar_row(panels, shape, estimate.F, estimate.x1[chosen], estimate.x2[chosen]),
         ]
     return np.vstack(rows)
 
@@ -141,16 +142,10 @@ def _lay_out(image1: Picture, image2: Picture, largest: int) -> tuple[tuple[_Pan
     row_height = max(picture.shape[0] for picture in scaled)
     spare = max(0, 2 * _SMALLEST_PANEL - sum(columns)) // 2
     lefts = (spare, spare + columns[0] + gap)
-    panels = [
-        _Panel(
-            picture,
-            left + (column - picture.shape[1]) // 2,
-            (row_height - picture.shape[0]) // 2,
-            factor,
-            (int(size[0]), int(size[1])),
-        )
-        for picture, left, column, factor, size in zip(scaled, lefts, columns, factors, sizes, strict=True)
-    ]
+    panels = []
+    for picture, left, column, factor, size in zip(scaled, lefts, columns, factors, sizes, strict=True):
+        x, y = left + (column - picture.shape[1]) // 2, (row_height - picture.shape[0]) // 2
+        panels.append(_Panel(picture, x, y, factor, (int(size[0]), int(size[1]))))
     return (panels[0], panels[1]), (row_height, sum(columns) + gap + 2 * spare)
 
 
@@ -222,22 +217,18 @@ def _spread(points: FloatArray, count: int, among: int = 200) -> IntArray:
 
 
 def _draw_epipolar_row(
-    panels: tuple[_Panel, _Panel], shape: tuple[int, int], estimate: FundamentalEstimate, chosen: IntArray
+    panels: tuple[_Panel, _Panel], shape: tuple[int, int], F: FloatArray, x1: FloatArray, x2: FloatArray
 ) -> Picture:
-    if estimate.F is None:
-        raise FeatureError("there are no epipolar lines without F")
     row = _blank_row(panels, shape)
-    x1, x2 = estimate.x1[estimate.inliers][chosen], estimate.x2[estimate.inliers][chosen]
-    for panel, points, others, F in ((panels[0], x1, x2, estimate.F.T), (panels[1], x2, x1, estimate.F)):
+    for panel, points, others, matrix in ((panels[0], x1, x2, F.T), (panels[1], x2, x1, F)):
         height, width = panel.pixels.shape[:2]
         # A view: lines end at the border of their image.
         view = row[panel.top : panel.top + height, panel.left : panel.left + width]
-        lines = np.column_stack([others, np.ones(len(others))]) @ F.T
+        lines = np.column_stack([others, np.ones(len(others))]) @ matrix.T
         for colour, line in zip(_HUES, lines, strict=False):
             _draw_infinite_line(view, line, panel.factor, colour)
-        visible = panel.holds(points)
         places = panel.place(points)
-        for i in np.flatnonzero(visible):
+        for i in np.flatnonzero(panel.holds(points)):
             _dot(row, places[i], 4.5, _HUES[i])
     return row
 
