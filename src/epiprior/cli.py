@@ -12,8 +12,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from epiprior.commands import inventory, photographs
+from epiprior.commands.inventory import estimators, info
 from epiprior.commands.options import BAD_INPUT
+from epiprior.commands.photographs import colmap, draw, estimate, match
 from epiprior.commands.printing import complain, drop_stdout, say
 from epiprior.errors import EpipriorError
 
@@ -74,14 +75,7 @@ def set_up(
     ctx.call_on_close(lambda: logger.removeHandler(handler))
 
 
-for command in (
-    photographs.match,
-    photographs.estimate,
-    photographs.draw,
-    photographs.colmap,
-    inventory.info,
-    inventory.estimators,
-):
+for command in (match, estimate, draw, colmap, info, estimators):
     app.command()(command)
 
 

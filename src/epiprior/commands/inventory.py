@@ -22,9 +22,15 @@ def info(
 
     epiprior info models/paper --json
     """
-    from epiprior.ranking.models import load_model
+    from epiprior.ranking.models import find_model, load_model
 
-    folder = _model_folder(model)
+    folder = Path(model)
+    if not any(slash in model for slash in "/\\"):
+        try:
+            folder = find_model(model)
+        except ModelError:
+            if not folder.is_dir():
+                raise
     loaded = load_model(folder)
     if as_json:
         print_json({"folder": str(folder), **loaded.manifest})
@@ -45,16 +51,3 @@ def estimators(as_json: Json = False) -> None:
         return
     rows = [(name, state, licence[name]) for name, state in states.items()]
     print_table(("estimator", "available, or what to install", "licence"), rows)
-
-
-def _model_folder(model: str) -> Path:
-    from epiprior.ranking.models import find_model
-
-    if any(slash in model for slash in "/\\"):
-        return Path(model)
-    try:
-        return find_model(model)
-    except ModelError:
-        if Path(model).is_dir():
-            return Path(model)
-        raise

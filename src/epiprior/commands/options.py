@@ -12,7 +12,6 @@ from epiprior import presets
 from epiprior.commands.printing import complain
 
 if TYPE_CHECKING:
-    from epiprior.presets import PreprocessSettings
     from epiprior.types import FundamentalEstimate
 
 NO_GEOMETRY = 1
@@ -26,7 +25,7 @@ Mode = Annotated[
     presets.Mode,
     typer.Option(
         help="'preprocess': matches are ranked by probability first. 'standard': the paper's standard matches. "
-        "'cascade': standard matches first; ranked ones only if inliers cover little or F is implausible.",
+        "'cascade': standard matches first; ranked ones only if inliers cover little or F is implausible."
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Of the random draw; same seed, same result.")]
@@ -50,18 +49,13 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 def chosen_settings(
     preset: str, detector: str, max_image_size: int | None, max_features: int | None
-) -> PreprocessSettings:
+) -> presets.PreprocessSettings:
     """Return the preset with the features that were asked for; SettingsError names what is out of range."""
-    from epiprior.presets import find_preset
-
-    settings = find_preset(preset)
+    settings = presets.find_preset(preset)
     own = settings.features
-    features = replace(
-        own,
-        detector=detector,
-        max_image_size=own.max_image_size if max_image_size is None else max_image_size,
-        max_keypoints=own.max_keypoints if max_features is None else max_features,
-    )
+    longest = own.max_image_size if max_image_size is None else max_image_size
+    limit = own.max_keypoints if max_features is None else max_features
+    features = replace(own, detector=detector, max_image_size=longest, max_keypoints=limit)
     return replace(settings, features=features)
 
 

@@ -7,6 +7,7 @@ import logging
 import math
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -92,14 +93,9 @@ def estimate(
     """
     from epiprior import estimate_fundamental
 
+    settings = chosen_settings(preset, features, max_image_size, max_features)
     found = estimate_fundamental(
-        image1,
-        image2,
-        estimator=estimator,
-        mode=mode,
-        settings=chosen_settings(preset, features, max_image_size, max_features),
-        seed=seed,
-        threshold_px=threshold,
+        image1, image2, estimator=estimator, mode=mode, settings=settings, seed=seed, threshold_px=threshold
     )
     if sys.stdout.isatty() if as_json is None else not as_json:
         print_estimate(found)
@@ -135,16 +131,8 @@ def draw(
 
     settings = chosen_settings(preset, features, max_image_size, max_features)
     ranked = None if mode == "standard" else rank_matches(image1, image2, settings=settings)
-    found = estimate_fundamental(
-        image1,
-        image2,
-        estimator=estimator,
-        mode=mode,
-        settings=settings,
-        seed=seed,
-        threshold_px=threshold,
-        ranked=ranked,
-    )
+    estimation = partial(estimate_fundamental, estimator=estimator, mode=mode, seed=seed, threshold_px=threshold)
+    found = estimation(image1, image2, settings=settings, ranked=ranked)
     if ranked is None or found.input != settings.name:
         shown = standard_matches(image1, image2, features=replace(settings.features, root=False))
     else:
@@ -194,21 +182,13 @@ def colmap(
     photographs = [load_photograph(image, settings.features.max_image_size) for image in images]
     _logger.info("finding features of %d images", len(images))
     found_features = [detect_features(photograph, settings.features) for photograph in photographs]
+    estimation = partial(estimate_fundamental, estimator=estimator, mode=mode, seed=seed, threshold_px=threshold)
     pairs: list[ColmapPair] = []
     numbers = list(itertools.combinations(range(len(images)), 2))
     for a, b in numbers:
         # A copy of a photograph has nothing described yet: what it remembers would grow with the number of pairs.
-        found = estimate_fundamental(
-            replace(photographs[a]),
-            replace(photographs[b]),
-            features1=found_features[a],
-            features2=found_features[b],
-            estimator=estimator,
-            mode=mode,
-            settings=settings,
-            seed=seed,
-            threshold_px=threshold,
-        )
+        copies, own = (replace(photographs[a]), replace(photographs[b])), (found_features[a], found_features[b])
+        found = estimation(*copies, features1=own[0], features2=own[1], settings=settings)
         pairs.append(ColmapPair(image1=images[a], image2=images[b], estimate=found))
         say(f"{len(pairs)}/{len(numbers)} {images[a]} {images[b]}: {summary(found)}")
     write_colmap_database(database, pairs)

@@ -20,9 +20,9 @@ _BAD: Colour = (185, 40, 40)
 
 def probability_colours(scores: FloatArray) -> list[Colour]:
     """Map [0, 1] to viridis, RGB, without its darkest quarter, which is hard to see on a dark photograph."""
-    index = np.rint(64 + 191 * np.asarray(scores)).astype(np.uint8).reshape(-1, 1)
-    if not len(index):
+    if not len(scores):
         return []
+    index = np.rint(64 + 191 * np.asarray(scores)).astype(np.uint8).reshape(-1, 1)
     bgr = cv2.applyColorMap(index, cv2.COLORMAP_VIRIDIS)[:, 0].tolist()
     return [(red, green, blue) for blue, green, red in bgr]
 

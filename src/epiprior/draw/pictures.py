@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.draw.captions import INK, PAPER, Colour, Picture, draw_header, draw_label, probability_colours
-from epiprior.errors import FeatureError, ImageError, SettingsError
+from epiprior.errors import ImageError, SettingsError
 from epiprior.features.images import Image, read_image
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray, MatchSet
 
@@ -35,21 +35,11 @@ _SUBPIXEL_BITS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class DrawSettings:
-    """What is drawn, and how large.
+    """What is drawn, and how large; SettingsError for a number out of its range."""
 
-    Parameters
-    ----------
-    max_matches : int
-        Number of best matches drawn, one per feature, >= 1.
-    epipolar_lines : int
-        Number of inliers whose epipolar lines are drawn, in 0..8.
-    max_panel_size : int
-        Longer side of each image in the figure, pixels, >= 480; smaller images are not enlarged beyond 480.
-    """
-
-    max_matches: int = 100
-    epipolar_lines: int = 8
-    max_panel_size: int = 1024
+    max_matches: int = 100  # number of best matches drawn, one per feature, >= 1
+    epipolar_lines: int = 8  # number of inliers whose epipolar lines are drawn, in 0..8
+    max_panel_size: int = 1024  # longer side of each image, pixels, >= 480; none is enlarged beyond 480
 
     def __post_init__(self) -> None:
         if self.max_matches < 1:
@@ -88,29 +78,12 @@ def draw_matches(
     *,
     settings: DrawSettings | None = None,
 ) -> Picture:
-    """Draw the best matches of two images and, under them, the epipolar lines of some inliers.
+    """Draw the best matches of two images and, under them, the epipolar lines of some inliers; RGB, (H, W, 3).
 
-    Parameters
-    ----------
-    image1, image2 : str, Path or ndarray
-        A file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA; of any sizes.
-    matches : MatchSet
-        Sorted best first; may be empty. Coloured by probability; where that is NaN (standard matches), by the
-        distance ratio.
-    estimate : FundamentalEstimate, optional
-        Its status and support are written above; its epipolar lines are drawn where it has an F.
-    settings : DrawSettings, optional
-        Numbers and sizes.
-
-    Returns
-    -------
-    ndarray, shape (H, W, 3), uint8
-        RGB.
-
-    Raises
-    ------
-    ImageError
-        If an image cannot be read or has another type or shape.
+    Images are files, or uint8 arrays of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, of any sizes; ImageError for
+    others. `matches`, sorted best first, may be empty; they are coloured by probability, where that is NaN (standard
+    matches) by the distance ratio. The status and support of `estimate` are written above; its epipolar lines are drawn
+    where it has an F.
     """
     settings = settings or DrawSettings()
     panels, shape = _lay_out(_read_rgb(image1), _read_rgb(image2), settings.max_panel_size)
@@ -124,10 +97,11 @@ def draw_matches(
         _draw_match_row(panels, shape, best, scores),
     ]
     if estimate is not None and estimate.F is not None and settings.epipolar_lines:
-        chosen = _spread(estimate.x1[estimate.inliers], settings.epipolar_lines)
+        chosen = np.flatnonzero(estimate.inliers)
+        chosen = chosen[_spread(estimate.x1[chosen], settings.epipolar_lines)]
         rows += [
             draw_label(width, f"epipolar lines of {len(chosen)} inliers"),
-            _draw_epipolar_row(panels, shape, estimate, chosen),
+            _draw_epipolar_row(panels, shape, estimate.F, estimate.x1[chosen], estimate.x2[chosen]),
         ]
     return np.vstack(rows)
 
@@ -135,10 +109,7 @@ def draw_matches(
 def write_picture(path: Path, picture: Picture) -> None:
     """Write an RGB picture as PNG or JPEG, by the suffix of `path`; a file is replaced only as a whole.
 
-    Raises
-    ------
-    OutputError
-        If the suffix is unknown or the file cannot be written; the message names the path.
+    OutputError if the suffix is unknown or the file cannot be written; the message names the path.
     """
     from epiprior.io.output import PICTURES, check_output, replacing
 
@@ -171,16 +142,10 @@ def _lay_out(image1: Picture, image2: Picture, largest: int) -> tuple[tuple[_Pan
     row_height = max(picture.shape[0] for picture in scaled)
     spare = max(0, 2 * _SMALLEST_PANEL - sum(columns)) // 2
     lefts = (spare, spare + columns[0] + gap)
-    panels = [
-        _Panel(
-            picture,
-            left + (column - picture.shape[1]) // 2,
-            (row_height - picture.shape[0]) // 2,
-            factor,
-            (int(size[0]), int(size[1])),
-        )
-        for picture, left, column, factor, size in zip(scaled, lefts, columns, factors, sizes, strict=True)
-    ]
+    panels = []
+    for picture, left, column, factor, size in zip(scaled, lefts, columns, factors, sizes, strict=True):
+        x, y = left + (column - picture.shape[1]) // 2, (row_height - picture.shape[0]) // 2
+        panels.append(_Panel(picture, x, y, factor, (int(size[0]), int(size[1]))))
     return (panels[0], panels[1]), (row_height, sum(columns) + gap + 2 * spare)
 
 
@@ -228,11 +193,7 @@ def _draw_match_row(
 ) -> Picture:
     row = _blank_row(panels, shape)
     visible = np.flatnonzero(panels[0].holds(matches.x1) & panels[1].holds(matches.x2))
-    ends1, ends2, colours = (
-        panels[0].place(matches.x1),
-        panels[1].place(matches.x2),
-        probability_colours(scores),
-    )
+    ends1, ends2, colours = (panels[0].place(matches.x1), panels[1].place(matches.x2), probability_colours(scores))
     lines = row.copy()
     # The worst first, so that the best lie on top.
     for i in visible[::-1]:
@@ -256,22 +217,18 @@ def _spread(points: FloatArray, count: int, among: int = 200) -> IntArray:
 
 
 def _draw_epipolar_row(
-    panels: tuple[_Panel, _Panel], shape: tuple[int, int], estimate: FundamentalEstimate, chosen: IntArray
+    panels: tuple[_Panel, _Panel], shape: tuple[int, int], F: FloatArray, x1: FloatArray, x2: FloatArray
 ) -> Picture:
-    if estimate.F is None:
-        raise FeatureError("there are no epipolar lines without F")
     row = _blank_row(panels, shape)
-    x1, x2 = estimate.x1[estimate.inliers][chosen], estimate.x2[estimate.inliers][chosen]
-    for panel, points, others, F in ((panels[0], x1, x2, estimate.F.T), (panels[1], x2, x1, estimate.F)):
+    for panel, points, others, matrix in ((panels[0], x1, x2, F.T), (panels[1], x2, x1, F)):
         height, width = panel.pixels.shape[:2]
         # A view: lines end at the border of their image.
         view = row[panel.top : panel.top + height, panel.left : panel.left + width]
-        lines = np.column_stack([others, np.ones(len(others))]) @ F.T
+        lines = np.column_stack([others, np.ones(len(others))]) @ matrix.T
         for colour, line in zip(_HUES, lines, strict=False):
             _draw_infinite_line(view, line, panel.factor, colour)
-        visible = panel.holds(points)
         places = panel.place(points)
-        for i in np.flatnonzero(visible):
+        for i in np.flatnonzero(panel.holds(points)):
             _dot(row, places[i], 4.5, _HUES[i])
     return row
 

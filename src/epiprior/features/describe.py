@@ -41,14 +41,10 @@ def describe_frames(grey: NDArray[np.uint8], frames: FloatArray) -> Float32Array
 
 
 def describe_at_orientation(photograph: Photograph, features: Features, orientation_deg: float) -> Float32Array:
-    """Return descriptors with every feature's orientation fixed to one angle (section 4.2, generalised upright SIFT).
+    """Return descriptors, (N, 128), with every orientation fixed to one angle (section 4.2, generalised upright SIFT).
 
-    The angle is in degrees, clockwise on the screen; `features` are in pixels of the image as given.
-
-    Returns
-    -------
-    ndarray, shape (N, 128), float32
-        Not normalised, and read-only: the photograph remembers it.
+    The angle is in degrees, clockwise on the screen; `features` are in pixels of the image as given. The descriptors
+    are not normalised, and read-only: the photograph keeps them.
     """
     angle = np.full(len(features), orientation_deg)
     frames = np.column_stack([photograph.to_working(features.xy), features.scale / photograph.factor, angle])

@@ -17,13 +17,9 @@ _MIN_IMAGE_SIDE = 16
 
 
 def detect_features(photograph: Photograph, settings: FeatureSettings | None = None) -> Features:
-    """Find features and describe them at their own orientation.
+    """Find features and describe them at their own orientation; locations in pixels of the image as given.
 
-    Returns
-    -------
-    Features
-        In pixels of the image as given, none where it is transparent. Empty for an image without texture or smaller
-        than 16 pixels.
+    There are none where the image is transparent, without texture, or smaller than 16 pixels.
     """
     settings = settings or FeatureSettings()
     frames, descriptors = np.empty((0, 4)), np.empty((0, 128), np.float32)

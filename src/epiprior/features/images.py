@@ -39,27 +39,14 @@ _LIMITS = {"PIXELS": 1 << 30, "WIDTH": 1 << 20, "HEIGHT": 1 << 20}
 class Photograph:
     """An image as it is worked on: grey, no larger than asked for.
 
-    Parameters
-    ----------
-    grey : ndarray, shape (h, w), uint8
-        The working image.
-    size : tuple of int
-        Width and height of the image as given.
-    visible : ndarray, shape (h, w), bool, optional
-        Where the image is not transparent; None: everywhere.
-    name : str
-        Of the file, for messages; empty for an array.
-
-    Notes
-    -----
-    It remembers what `describe_at_orientation` made of it: image 1 is described alike under every roll hypothesis, and
+    It keeps what `describe_at_orientation` computed for it: image 1 is described alike under every roll hypothesis, and
     both images under every preset.
     """
 
-    grey: NDArray[np.uint8]
-    size: tuple[int, int]
-    visible: BoolArray | None = None
-    name: str = ""
+    grey: NDArray[np.uint8]  # (h, w), the working image
+    size: tuple[int, int]  # width and height of the image as given
+    visible: BoolArray | None = None  # (h, w), where the image is not transparent; None: everywhere
+    name: str = ""  # of the file, for messages; empty for an array
     described: dict[bytes, Float32Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -100,21 +87,10 @@ View = Image | Photograph
 
 
 def load_photograph(image: View, max_image_size: int = 1024) -> Photograph:
-    """Read an image, or take an array, as grey values at working size.
+    """Read an image, or take a uint8 array (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, as grey values at working size.
 
-    Parameters
-    ----------
-    image : str, Path, ndarray or Photograph
-        A file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA. A photograph that was
-        loaded at the same `max_image_size` comes back as it is.
-    max_image_size : int
-        Longer side of the working image, pixels.
-
-    Raises
-    ------
-    ImageError
-        If the file is missing or no image, the array has another shape or type or is empty, or the photograph was
-        loaded at another size.
+    A photograph that was loaded at the same `max_image_size` (longer side, pixels) comes back as it is. ImageError if
+    it was loaded at another size, the file is missing or no image, or the array is of another kind or empty.
     """
     if isinstance(image, Photograph):
         if max(image.grey.shape) != min(max(image.size), max_image_size):
@@ -172,15 +148,10 @@ def is_hidden_copy(name: str) -> bool:
 
 
 def read_image(path: str | Path, flags: int) -> NDArray[np.uint8]:
-    """Read an image file of any name as OpenCV does with `flags`, eight bits.
+    """Read an image file as OpenCV does with `flags`, eight bits; ImageError names a file that cannot be read.
 
     More than eight bits are stretched: the darkest value of the image becomes 0, its brightest 255. A JPEG file that is
     damaged or cut is read as far as it goes, and a warning names it.
-
-    Raises
-    ------
-    ImageError
-        If the file is missing, no image, or larger than OpenCV allows; the message names it.
     """
     return _decode(str(path), _read_bytes(Path(path)), flags)
 

@@ -11,9 +11,7 @@ from epiprior.types import Features, FloatArray, IntArray
 
 
 def unique_locations(features: Features) -> tuple[IntArray, IntArray]:
-    """Find the features that differ only in orientation.
-
-    SIFT gives several orientations at one location and scale; at a fixed orientation those twins are identical.
+    """Find the features that differ only in orientation: at a fixed orientation these twins are identical.
 
     Returns
     -------
@@ -34,27 +32,13 @@ def unique_locations(features: Features) -> tuple[IntArray, IntArray]:
 
 @dataclass(frozen=True)
 class Locations:
-    """Features of one image, grouped by (location, scale).
+    """Features of one image, grouped by (location, scale)."""
 
-    Parameters
-    ----------
-    xy : ndarray, shape (L, 2), float64
-        Working pixels.
-    scale : ndarray, shape (L,), float64
-        Sigma, working pixels.
-    first : ndarray, shape (L,), int64
-        First feature of each location.
-    of_feature : ndarray, shape (N,), int64
-        Location of each feature.
-    twins, start : ndarray, int64
-        Features of location l are ``twins[start[l]:start[l + 1]]``.
-    """
-
-    xy: FloatArray
-    scale: FloatArray
-    first: IntArray
-    of_feature: IntArray
-    twins: IntArray
+    xy: FloatArray  # (L, 2), working pixels
+    scale: FloatArray  # (L,), sigma, working pixels
+    first: IntArray  # (L,), first feature of each location
+    of_feature: IntArray  # (N,), location of each feature
+    twins: IntArray  # (N,), features of location l are twins[start[l]:start[l + 1]]
     start: IntArray
 
     def first_twin(self, features: IntArray) -> IntArray:

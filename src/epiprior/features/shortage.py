@@ -17,14 +17,7 @@ def explain_shortage(
 ) -> str:
     """Return which of the images have few features, and what may explain it; an empty string where neither has.
 
-    Parameters
-    ----------
-    images : tuple of (path, ndarray, Photograph or None)
-        As handed in.
-    features : tuple of (Features or None)
-        As handed in; None: they are found anew.
-    settings : FeatureSettings
-        How they were found.
+    Images and features as handed in; where features are None, they are found again by `settings`.
     """
     reasons = []
     for k, (image, given) in enumerate(zip(images, features, strict=True), start=1):

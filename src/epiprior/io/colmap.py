@@ -23,19 +23,14 @@ from epiprior.io.output import check_output, replacing
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray
 
-_HALF_PIXEL = 0.5
+_HALF_PIXEL = 0.5  # COLMAP has the centre of the top-left pixel there
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColmapPair:
-    """Two image files and what was estimated for them.
+    """Two different image files and what was estimated for them.
 
-    Parameters
-    ----------
-    image1, image2 : Path
-        The files, not the same one twice.
-    estimate : FundamentalEstimate
-        Its matches are written; its F and inliers too where its status is ``ok``.
+    The matches of the estimate are written; its F and inliers too where its status is ``ok``.
     """
 
     image1: Path
@@ -48,6 +43,10 @@ def write_colmap_database(
 ) -> None:
     """Write keypoints, matches and two-view geometries of image pairs to a new COLMAP database.
 
+    Features of one image at the very same location (float32) become one keypoint, since an estimate carries locations
+    only. That links the pairs of an image into tracks. Matches are made one-to-one, inliers first, in the order of the
+    estimate. Every image gets its own camera, with COLMAP's guess of the focal length.
+
     Parameters
     ----------
     path : str or Path
@@ -55,8 +54,7 @@ def write_colmap_database(
     pairs : sequence of ColmapPair
         Each pair of images at most once, in either order.
     image_root : str or Path, optional
-        The folder that image names are relative to: what COLMAP calls ``image_path``. By default the deepest
-        folder that holds all images.
+        The folder that image names are relative to, COLMAP's ``image_path``; by default the deepest that holds all.
 
     Raises
     ------
@@ -64,17 +62,17 @@ def write_colmap_database(
         If pycolmap is not installed, `path` exists or cannot be written, or a pair is there twice.
     ImageError
         As `check_colmap_images` does.
-
-    Notes
-    -----
-    An estimate carries locations only, so features of one image at the very same location (float32) become
-    one keypoint. That links the pairs of an image into tracks. Matches are made one-to-one, inliers first, in
-    the order of the estimate. Every image gets its own camera, with COLMAP's guess of the focal length.
     """
     path = Path(path)
     pycolmap = check_colmap_output(path)
     pairs = [replace(p, image1=_absolute(p.image1), image2=_absolute(p.image2)) for p in pairs]
-    _check_pairs(path, pairs)
+    seen: set[frozenset[Path]] = set()
+    for pair in pairs:
+        if pair.image1 == pair.image2:
+            raise OutputError(f"{path}: {pair.image1} is paired with itself")
+        if (key := frozenset((pair.image1, pair.image2))) in seen:
+            raise OutputError(f"{path}: the pair {pair.image1}, {pair.image2} is there twice")
+        seen.add(key)
     images = sorted({image for pair in pairs for image in (pair.image1, pair.image2)})
     names = check_colmap_images(images, image_root)
     keypoints, indices = _keypoints(images, pairs)
@@ -82,8 +80,8 @@ def write_colmap_database(
         database = pycolmap.Database.open(partial)
         try:
             ids = {image: _write_image(pycolmap, database, image, names[image], keypoints[image]) for image in images}
-            for pair, (index1, index2) in zip(pairs, indices, strict=True):
-                _write_pair(pycolmap, database, pair.estimate, (ids[pair.image1], ids[pair.image2]), (index1, index2))
+            for pair, both in zip(pairs, indices, strict=True):
+                _write_pair(pycolmap, database, pair.estimate, (ids[pair.image1], ids[pair.image2]), both)
         except RuntimeError as error:
             raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
         finally:
@@ -107,38 +105,17 @@ def _absolute(image: Path) -> Path:
     return Path(os.path.abspath(image))  # noqa: PTH100
 
 
-def _check_pairs(path: Path, pairs: Sequence[ColmapPair]) -> None:
-    seen: set[frozenset[Path]] = set()
-    for pair in pairs:
-        key = frozenset((pair.image1, pair.image2))
-        if len(key) < 2:
-            raise OutputError(f"{path}: {pair.image1} is paired with itself")
-        if key in seen:
-            raise OutputError(f"{path}: the pair {pair.image1}, {pair.image2} is there twice")
-        seen.add(key)
-
-
 def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = None) -> dict[Path, str]:
     """Return what COLMAP calls the images, by absolute path, after checking that it will see them as we do.
 
-    Parameters
-    ----------
-    images : sequence of Path
-        The files.
-    image_root : str or Path, optional
-        The folder that names are relative to; by default the deepest one that holds all images.
-
-    Raises
-    ------
-    ImageError
-        If an image is missing, no image, given twice, outside `image_root`, turned by its EXIF data (COLMAP, which does
-        not turn images, would see other coordinates), or has a name that is not UTF-8, which a database cannot hold.
+    ImageError if an image is missing, no image, given twice, outside `image_root`, turned by its EXIF data (COLMAP,
+    which does not turn images, would see other coordinates), or has a name that is not UTF-8, which a database cannot
+    hold.
     """
     paths = [_absolute(image) for image in images]
-    if image_root is not None:
-        root = _absolute(Path(image_root))
-    else:
-        root = Path(os.path.commonpath([path.parent for path in paths])) if paths else Path()
+    if image_root is None:
+        image_root = os.path.commonpath([path.parent for path in paths] or ["."])
+    root = _absolute(Path(image_root))
     names: dict[Path, str] = {}
     for path in paths:
         if path in names:
@@ -195,16 +172,11 @@ def _write_image(pycolmap: Any, database: Any, image: Path, name: str, keypoints
 
 
 def _write_pair(
-    pycolmap: Any,
-    database: Any,
-    estimate: FundamentalEstimate,
-    ids: tuple[int, int],
-    indices: tuple[IntArray, IntArray],
+    pycolmap: Any, database: Any, estimate: FundamentalEstimate, ids: tuple[int, int], indices: Sequence[IntArray]
 ) -> None:
-    index1, index2 = indices
     order = np.argsort(~estimate.inliers, kind="stable")
-    order = order[one_to_one_mask(index1[order], index2[order])]
-    matches = np.column_stack([index1, index2])[order].astype(np.uint32)
+    order = order[one_to_one_mask(*(index[order] for index in indices))]
+    matches = np.column_stack(indices)[order].astype(np.uint32)
     if not len(matches):
         return
     database.write_matches(*ids, matches)

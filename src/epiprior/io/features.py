@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from epiprior.errors import FeatureError
 from epiprior.types import Features, Float32Array, FloatArray
 
-# Where COLMAP has the centre of the top-left pixel.
-_HALF_PIXEL = 0.5
+_HALF_PIXEL = 0.5  # COLMAP has the centre of the top-left pixel there
 _HLOC_FRAMES = ("scales", "oris")
 _HLOC_PARTS = ("keypoints", "descriptors", "image_size", *_HLOC_FRAMES)
 _COLMAP_TABLES = frozenset({"cameras", "images", "keypoints", "descriptors"})
@@ -28,6 +27,10 @@ _ENTRY_BYTES = {"keypoints": 4, "descriptors": 1}
 
 def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 1) -> Features:
     """Read the features of one image from a COLMAP database.
+
+    COLMAP does not turn an image by its EXIF orientation, epiprior does: such an image is to be saved upright before
+    COLMAP sees it. Pycolmap always opens a database for writing: it marks the file with its version, and brings the
+    tables of an older COLMAP to its own schema.
 
     Parameters
     ----------
@@ -42,9 +45,9 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
     Returns
     -------
     Features
-        Locations in pixels, the centre of the top-left pixel at (0, 0): half a pixel less than COLMAP's. Scale is
-        COLMAP's, sigma in pixels; of an affine frame the mean of its two. Orientation is in degrees; of an affine frame
-        that of its first axis. The size of the image is that of its camera. Empty if COLMAP found none.
+        Locations in pixels, the centre of the top-left pixel at (0, 0): half a pixel less than COLMAP's. Scale is sigma
+        in pixels; of an affine frame the mean of its two. Orientation is in degrees; of an affine frame that of its
+        first axis. The size of the image is that of its camera. Empty if COLMAP found none.
 
     Raises
     ------
@@ -52,12 +55,6 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
         If pycolmap is not installed, the file is missing, no COLMAP database or not writable, the image is not in it,
         or its features are missing, are locations only (as `write_colmap_database` writes them), or are not described
         by SIFT; the message names the file.
-
-    Notes
-    -----
-    COLMAP does not turn an image by its EXIF orientation, epiprior does: such an image is to be saved upright before
-    COLMAP sees it. Pycolmap always opens a database for writing: it marks the file with its version, and brings the
-    tables of an older COLMAP to its own schema.
     """
     database = Path(database)
     try:
@@ -95,6 +92,11 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
 def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> Features:
     """Read the features of one image from an h5 file of hloc, or of the same layout.
 
+    Two flaws of such files stay, so that F belongs to the locations that hloc works with. Its ``dog`` writes COLMAP's
+    locations without taking their half pixel off: they lie half a pixel, of the size at which hloc extracted, too far
+    right and down. And hloc rounds to float16 unless told ``as_half=False``: beyond 1024 pixels only whole pixels are
+    left.
+
     Parameters
     ----------
     path : str or Path
@@ -104,8 +106,8 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
         Name of the group: the image's path relative to hloc's image folder.
     roots : int
         How many times the root was taken of the entries of the stored descriptors, >= 0. 2 for the ``rootsift`` of
-        hloc's ``dog``, which takes the root of what COLMAP has taken the root of; 1 for a RootSIFT of one's own; 0
-        for its ``sift``, and for descriptors that are not SIFT.
+        hloc's ``dog``, which takes the root of what COLMAP has taken the root of; 1 for a RootSIFT of one's own; 0 for
+        its ``sift``, and for descriptors that are not SIFT.
 
     Returns
     -------
@@ -120,13 +122,6 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
         If h5py is not installed, the file is missing or no h5 file, the image is not in it, a part of its features is
         missing (learned detectors have no scale and orientation), or entries of which the root was taken are negative;
         the message names the file.
-
-    Notes
-    -----
-    Two flaws of such files stay, so that F belongs to the locations that hloc works with. Its ``dog`` writes COLMAP's
-    locations without taking their half pixel off: they lie half a pixel, of the size at which hloc extracted, too far
-    right and down. And hloc rounds to float16 unless told ``as_half=False``: beyond 1024 pixels only whole pixels are
-    left.
     """
     path = Path(path)
     try:
@@ -138,13 +133,18 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
         with h5py.File(path, "r") as file:
             group = file.get(image_name)
             if not isinstance(group, h5py.Group):
-                raise FeatureError(f"{path}: has no image {image_name!r} among its {_count_images(file)} images")
+                names: list[str] = []
+                file.visit(names.append)
+                count = sum(name.endswith("/keypoints") for name in names)
+                raise FeatureError(f"{path}: has no image {image_name!r} among its {count} images")
             items = {name: group.get(name) for name in _HLOC_PARTS}
             data = {name: np.asarray(item) for name, item in items.items() if isinstance(item, h5py.Dataset)}
     except (OSError, RuntimeError) as error:
         raise FeatureError(f"{path}: not an h5 file that can be read: {error}") from error
     where = f"{path}: image {image_name!r}"
-    _check_numbers(where, data)
+    for name, value in data.items():
+        if value.dtype.kind not in "iuf":
+            raise FeatureError(f"{where}: {name} is of type {value.dtype}, expected numbers")
     missing = [name for name in _HLOC_PARTS if name not in data]
     if any(name not in _HLOC_FRAMES for name in missing):
         raise FeatureError(f"{where} has no {', '.join(missing)}")
@@ -190,19 +190,6 @@ def _check_is_colmap(database: Path, image_name: str) -> None:
                         )
     except sqlite3.Error as error:
         raise FeatureError(f"{database}: not a COLMAP database: {error}") from error
-
-
-def _check_numbers(where: str, data: dict[str, NDArray[Any]]) -> None:
-    for name, value in data.items():
-        if value.dtype.kind not in "iuf":
-            raise FeatureError(f"{where}: {name} is of type {value.dtype}, expected numbers")
-
-
-def _count_images(file: Any) -> int:
-    """Return how many groups of an h5 file, at any depth, hold keypoints."""
-    names: list[str] = []
-    file.visit(names.append)
-    return sum(name.endswith("/keypoints") for name in names)
 
 
 def _colmap_frames(where: str, keypoints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -16,17 +16,8 @@ PICTURES = (".png", ".jpg", ".jpeg")
 def check_output(path: Path, suffixes: Sequence[str] = ()) -> None:
     """Raise OutputError, before any work is done, where `path` can never be written.
 
-    Parameters
-    ----------
-    path : Path
-        The file to be written.
-    suffixes : sequence of str
-        The suffixes that are known, lower case; none: any.
-
-    Raises
-    ------
-    OutputError
-        If the suffix is unknown, the folder is missing or may not be written to, or `path` is a folder.
+    The suffix is not among the lower-case `suffixes` (none: any), the folder is missing or not writable, or it is a
+    folder.
     """
     if suffixes and path.suffix.lower() not in suffixes:
         raise OutputError(f"{path}: unknown suffix {path.suffix!r}, known: {', '.join(suffixes)}")
@@ -40,17 +31,10 @@ def check_output(path: Path, suffixes: Sequence[str] = ()) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a file beside `path` to write to; it takes the place of `path` once all went well.
+    """Give an empty file beside `path` to write to; it takes the place of `path` once all went well.
 
-    Yields
-    ------
-    Path
-        An empty file in the same folder. After an exception it is removed and `path` is as before.
-
-    Raises
-    ------
-    OutputError
-        For any OSError inside (no space, no permission, ...); the message names `path` and the reason.
+    After an exception it is removed and `path` is as before. Any OSError inside (no space, no permission, ...) becomes
+    an OutputError that names `path` and the reason.
     """
     partial: Path | None = None
     try:
@@ -59,7 +43,9 @@ def replacing(path: Path) -> Iterator[Path]:
         partial = Path(name)
         yield partial
         # mkstemp makes files for the owner alone; a result is an ordinary file.
-        partial.chmod(0o666 & ~_umask())
+        mask = os.umask(0o022)
+        os.umask(mask)
+        partial.chmod(0o666 & ~mask)
         partial.replace(path)
     except OutputError:
         raise
@@ -68,9 +54,3 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         if partial is not None:
             partial.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask

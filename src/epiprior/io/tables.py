@@ -27,22 +27,12 @@ from epiprior.types import MatchSet, RankedMatches
 TABLES = (".csv", ".npz")
 
 _POINTS = {"x1": ("x1", 0), "y1": ("x1", 1), "x2": ("x2", 0), "y2": ("x2", 1)}
-_INTEGERS = ("supporting_matrices", "feature1", "feature2")
-_PLAIN = (
-    "probability",
-    "supporting_matrices",
-    "distance_ratio",
-    "similarity_weight",
-    "similarity",
-    "two_keypoint_probability",
-    "scale1",
-    "scale2",
-    "orientation1_deg",
-    "orientation2_deg",
-    "feature1",
-    "feature2",
-)
+_RANKING = ("probability", "supporting_matrices", "distance_ratio", "similarity_weight", "similarity")
+_FRAMES = ("scale1", "scale2", "orientation1_deg", "orientation2_deg", "feature1", "feature2")
+_PLAIN = (*_RANKING, "two_keypoint_probability", *_FRAMES)
 COLUMNS = ("set", "roll_deg", *_POINTS, *_PLAIN)
+_INTEGERS = ("set", "supporting_matrices", "feature1", "feature2")
+_TYPES = {name: np.dtype(np.int64 if name in _INTEGERS else np.float64) for name in COLUMNS}
 
 Columns = dict[str, NDArray[Any]]
 
@@ -55,8 +45,7 @@ def write_matches(path: str | Path, matches: MatchSet | RankedMatches | Sequence
     path : str or Path
         Ends in ``.csv`` (nine significant digits, which is more than float32 holds) or ``.npz`` (exact).
     matches : MatchSet, RankedMatches or sequence of MatchSet
-        Of `RankedMatches`, all sets are written, not the standard matches. A set without matches leaves no
-        rows.
+        Of `RankedMatches`, all sets, not the standard matches. A set without matches leaves no rows.
 
     Raises
     ------
@@ -79,23 +68,18 @@ def write_matches(path: str | Path, matches: MatchSet | RankedMatches | Sequence
 
 
 def read_matches(path: str | Path) -> tuple[MatchSet, ...]:
-    """Read what `write_matches` wrote.
+    """Read what `write_matches` wrote: one set per value of ``set``, ascending; none for a table without rows.
 
     Parameters
     ----------
     path : str or Path
         A ``.csv`` or ``.npz`` file; columns in any order, further columns are ignored.
 
-    Returns
-    -------
-    tuple of MatchSet
-        One per value of ``set``, ascending; empty for a table without rows.
-
     Raises
     ------
     FeatureError
-        If the file is missing, no such table, lacks a column, or holds something else than numbers; the
-        message names the file and the line or column.
+        If the file is missing, no such table, lacks a column, or holds something else than numbers; the message names
+        the file and the line or column.
     """
     path = Path(path)
     if path.suffix.lower() not in TABLES:
@@ -110,32 +94,25 @@ def read_matches(path: str | Path) -> tuple[MatchSet, ...]:
 
 def _columns_of(sets: Sequence[MatchSet]) -> Columns:
     """Return the sets one below the other, as columns in the order of COLUMNS."""
-
-    def stacked(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
-        return np.concatenate([np.empty(0, dtype), *parts]).astype(dtype)
-
-    columns: Columns = {
-        "set": stacked([np.full(len(s), i) for i, s in enumerate(sets)], np.int64),
-        "roll_deg": stacked([np.full(len(s), s.roll_deg) for s in sets], np.float64),
+    parts = [
+        {"set": np.full(len(s), i), "roll_deg": np.full(len(s), s.roll_deg)}
+        | {name: getattr(s, field)[:, axis] for name, (field, axis) in _POINTS.items()}
+        | {name: getattr(s, name) for name in _PLAIN}
+        for i, s in enumerate(sets)
+    ]
+    return {
+        name: np.concatenate([np.empty(0, dtype), *(part[name] for part in parts)]).astype(dtype)
+        for name, dtype in _TYPES.items()
     }
-    for name, (field, axis) in _POINTS.items():
-        columns[name] = stacked([getattr(s, field)[:, axis] for s in sets], np.float64)
-    for name in _PLAIN:
-        dtype = np.int64 if name in _INTEGERS else np.float64
-        columns[name] = stacked([getattr(s, name) for s in sets], dtype)
-    return columns
 
 
 def _as_csv(columns: Columns) -> str:
-    def cells(column: NDArray[Any]) -> list[str]:
-        if column.dtype.kind == "i":
-            return [str(value) for value in column.tolist()]
-        return ["" if math.isnan(value) else f"{value:.9g}" for value in column.tolist()]
-
+    cells = (
+        [str(v) if isinstance(v, int) else "" if math.isnan(v) else f"{v:.9g}" for v in column.tolist()]
+        for column in columns.values()
+    )
     out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*(cells(column) for column in columns.values()), strict=True))
+    csv.writer(out, lineterminator="\n").writerows([columns, *zip(*cells, strict=True)])
     return out.getvalue()
 
 
@@ -156,14 +133,13 @@ def _from_csv(path: Path) -> Columns:
 
 
 def _numbers(path: Path, name: str, cells: Sequence[tuple[int, str]]) -> NDArray[Any]:
-    integer = name == "set" or name in _INTEGERS
     values: list[float | int] = []
     for line, cell in cells:
         try:
-            values.append(int(cell) if integer else float(cell or "nan"))
+            values.append(int(cell) if name in _INTEGERS else float(cell or "nan"))
         except ValueError as error:
             raise FeatureError(f"{path}: line {line}, column {name}: {cell!r} is not a number") from error
-    return np.array(values, dtype=np.int64 if integer else np.float64)
+    return np.array(values, dtype=_TYPES[name])
 
 
 def _from_npz(path: Path) -> Columns:
@@ -176,8 +152,8 @@ def _from_npz(path: Path) -> Columns:
             raise
         raise FeatureError(f"{path}: not an NPZ file of matches: {error}") from error
     for name, column in columns.items():
-        integer = name == "set" or name in _INTEGERS
-        if column.shape != (len(columns["set"]),) or column.dtype.kind not in ("iu" if integer else "iuf"):
+        kinds = "iu" if name in _INTEGERS else "iuf"
+        if column.shape != (len(columns["set"]),) or column.dtype.kind not in kinds:
             raise FeatureError(f"{path}: column {name} has shape {column.shape} and type {column.dtype}")
     return columns
 
@@ -189,7 +165,7 @@ def _require_columns(path: Path, header: Sequence[str]) -> None:
 
 
 def _set_of(path: Path, columns: Columns, rows: NDArray[np.bool_]) -> MatchSet:
-    part = {name: column[rows] for name, column in columns.items()}
+    part: dict[str, Any] = {name: columns[name][rows].astype(dtype) for name, dtype in _TYPES.items()}
     for name, column in part.items():
         # Only a probability may be unknown.
         if name != "probability" and not np.isfinite(column).all():
@@ -197,10 +173,5 @@ def _set_of(path: Path, columns: Columns, rows: NDArray[np.bool_]) -> MatchSet:
     rolls = np.unique(part["roll_deg"])
     if len(rolls) != 1:
         raise FeatureError(f"{path}: set {part['set'][0]} has {len(rolls)} different values of roll_deg")
-    plain: dict[str, Any] = {name: part[name].astype(np.int64 if name in _INTEGERS else np.float64) for name in _PLAIN}
-    return MatchSet(
-        x1=np.column_stack([part["x1"], part["y1"]]).astype(np.float64),
-        x2=np.column_stack([part["x2"], part["y2"]]).astype(np.float64),
-        roll_deg=float(rolls[0]),
-        **plain,
-    )
+    x1, x2 = (np.column_stack([part[f"x{k}"], part[f"y{k}"]]) for k in (1, 2))
+    return MatchSet(x1=x1, x2=x2, roll_deg=float(rolls[0]), **{name: part[name] for name in _PLAIN})

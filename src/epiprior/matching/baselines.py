@@ -88,13 +88,8 @@ def snn_matches(
 ) -> MatchSet:
     """Return mutual nearest neighbours of RootSIFT below a ratio, ordered by it: the strongest simple baseline.
 
-    Parameters
-    ----------
-    image1, image2, features1, features2
-        As for `standard_matches`.
-    max_distance_ratio : float
-        Matches below it are kept. The ratio is of Euclidean distances of the descriptors, as users of this baseline
-        compute it.
+    Images and features are as for `standard_matches`. Matches below `max_distance_ratio` are kept, a ratio of Euclidean
+    distances of the descriptors, as users of this baseline compute it.
     """
     settings = replace(DEFAULT, features=FeatureSettings(root=True, centred=False))
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
@@ -119,33 +114,26 @@ def generalized_matches(
 ) -> MatchSet:
     """Return all matches above a similarity, many-to-many, each at a low probability: input of generalised RANSAC.
 
+    The method is that of Zhang and Kosecka (Generalized RANSAC framework for relaxed correspondence problems, 3DPVT
+    2006) as the paper sums it up (section 2); how the probabilities are shared is our interpretation.
+
     Parameters
     ----------
     image1, image2, features, features1, features2
         As for `standard_matches`.
     ncc_threshold : float
-        Lowest normalised cross-correlation of two descriptors, in (-1, 1).
+        Lowest normalised cross-correlation of two descriptors, in (-1, 1); SettingsError for a number out of its range.
     max_candidates : int
-        Ours: of the candidates of a feature, in either image, only so many, the most similar, are kept. Without
-        a limit two brick walls give millions.
+        Of the candidates of a feature, in either image, only so many, the most similar, are kept, >= 1. This limit is
+        ours: without it two brick walls give millions.
     right_share : float
         Probability, in (0, 1), that one of a feature's candidates is right; its candidates share it.
 
     Returns
     -------
     MatchSet
-        `probability` is ``right_share / max(c1, c2)``, where c1 and c2 count the candidates of the two features.
-        Sorted by it, then by similarity. `distance_ratio` is 1 except for nearest neighbours.
-
-    Raises
-    ------
-    SettingsError
-        If a number is out of its range.
-
-    References
-    ----------
-    Zhang and Kosecka, Generalized RANSAC framework for relaxed correspondence problems, 3DPVT 2006, as the paper sums
-    it up (section 2); how the probabilities are shared is our interpretation.
+        `probability` is ``right_share / max(c1, c2)``, where c1 and c2 count the candidates of the two features. Sorted
+        by it, then by similarity. `distance_ratio` is 1 except for nearest neighbours.
     """
     if not -1 < ncc_threshold < 1:
         raise SettingsError(f"ncc_threshold is {ncc_threshold}, expected a number between -1 and 1")

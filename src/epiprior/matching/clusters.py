@@ -20,24 +20,12 @@ _BLOCK = 512
 
 @dataclass(frozen=True)
 class Clusters:
-    """A partition of the features of one image.
+    """A partition of the features of one image."""
 
-    Parameters
-    ----------
-    label : ndarray, shape (N,), int64
-        Cluster of each feature; clusters are numbered by their first member.
-    members : ndarray, shape (N,), int64
-        Features, cluster by cluster, ascending within each.
-    start : ndarray, shape (C + 1,), int64
-        Cluster c holds ``members[start[c]:start[c + 1]]``.
-    representative : ndarray, shape (C, D), float32
-        Median descriptor of the members, normalised again.
-    """
-
-    label: IntArray
-    members: IntArray
-    start: IntArray
-    representative: Float32Array
+    label: IntArray  # (N,), cluster of each feature; clusters are numbered by their first member
+    members: IntArray  # (N,), features, cluster by cluster, ascending within each
+    start: IntArray  # (C + 1,), cluster c holds members[start[c]:start[c + 1]]
+    representative: Float32Array  # (C, D), median descriptor of the members, normalised again
 
     def __len__(self) -> int:
         return len(self.start) - 1

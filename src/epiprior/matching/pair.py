@@ -49,34 +49,16 @@ def both_images(function: Callable[[int], _T]) -> tuple[_T, _T]:
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedPair:
-    """Features of both images and their nearest neighbours: all that does not depend on the roll.
+    """Features of both images and their nearest neighbours: all that does not depend on the roll."""
 
-    Parameters
-    ----------
-    photographs : tuple of (Photograph or None)
-        The working images; None for an image that was not handed in.
-    features : tuple of Features
-        As detected or handed in.
-    descriptors : tuple of ndarray
-        Unit descriptors at the features' own orientation.
-    to_working : tuple of ndarray, shape (3, 3)
-        Affine maps from pixels of the images as given to working pixels.
-    locations : tuple of Locations
-        Features grouped by location and scale, working pixels.
-    forward, backward : Neighbours
-        Of the features, in both directions.
-    table : StandardTable
-        X_L and X_B by location.
-    """
-
-    photographs: tuple[Photograph | None, Photograph | None]
-    features: tuple[Features, Features]
-    descriptors: tuple[Float32Array, Float32Array]
-    to_working: tuple[FloatArray, FloatArray]
-    locations: tuple[Locations, Locations]
-    forward: Neighbours
-    backward: Neighbours
-    table: StandardTable
+    photographs: tuple[Photograph | None, Photograph | None]  # working images; None for one not handed in
+    features: tuple[Features, Features]  # as detected or handed in
+    descriptors: tuple[Float32Array, Float32Array]  # unit length, at the features' own orientation
+    to_working: tuple[FloatArray, FloatArray]  # (3, 3), affine, from pixels of the images as given to working pixels
+    locations: tuple[Locations, Locations]  # features grouped by location and scale
+    forward: Neighbours  # of the features of image 1 in image 2
+    backward: Neighbours  # of the features of image 2 in image 1
+    table: StandardTable  # X_L and X_B by location
 
 
 def prepare_pair(
@@ -88,24 +70,11 @@ def prepare_pair(
     features2: Features | None = None,
     watch: Stopwatch | None = None,
 ) -> PreparedPair:
-    """Find features and standard matches (section 4.1).
+    """Find features and standard matches (section 4.1); ImageError and FeatureError name the image they are about.
 
-    Parameters
-    ----------
-    image1, image2 : path, ndarray, Photograph or None
-        The photographs. None only where features are handed in; then their own descriptors also serve where the
-        method asks for descriptors at a fixed orientation, and repeated corners are told apart less well.
-    settings : PreprocessSettings
-        The preset.
-    features1, features2 : Features, optional
-        Used instead of detected ones; pixels of the images as given.
-    watch : Stopwatch, optional
-        Takes the seconds of the steps.
-
-    Raises
-    ------
-    ImageError, FeatureError
-        For input that cannot be used; the message names the image.
+    An image may be None only where features (pixels of the image as given) are handed in; then their own descriptors
+    also serve where the method asks for descriptors at a fixed orientation, and repeated corners are told apart less
+    well. `watch` takes the seconds of the steps.
     """
     watch = watch or Stopwatch()
     limit, how = settings.features.max_image_size, settings.features

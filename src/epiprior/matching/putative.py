@@ -17,33 +17,20 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class PutativeMatches:
-    """The set X, ordered by feature of image 1, then of image 2.
+    """The set X, ordered by feature of image 1, then of image 2; features are numbered by location."""
 
-    Parameters
-    ----------
-    feature1, feature2 : ndarray, shape (M,), int64
-        The matched features (locations).
-    start1 : ndarray, shape (N1 + 1,), int64
-        Matches of feature i of image 1 are the rows ``start1[i]:start1[i + 1]``.
-    candidates1, candidates2 : ndarray, shapes (N1,) and (N2,), int64
-        In how many matches each feature takes part.
-    """
-
-    feature1: IntArray
-    feature2: IntArray
-    start1: IntArray
-    candidates1: IntArray
-    candidates2: IntArray
+    feature1: IntArray  # (M,)
+    feature2: IntArray  # (M,)
+    start1: IntArray  # (N1 + 1,), matches of feature i of image 1 are the rows start1[i]:start1[i + 1]
+    candidates1: IntArray  # (N1,), in how many matches each feature of image 1 takes part
+    candidates2: IntArray  # (N2,), the same for image 2
 
     def __len__(self) -> int:
         return len(self.feature1)
 
 
 def matched_clusters(clusters1: Clusters, clusters2: Clusters) -> IntArray:
-    """Match each cluster to the closest of the other image, in both directions, without any ratio test.
-
-    Returns distinct pairs of clusters, shape (P, 2), ascending.
-    """
+    """Match each cluster to the closest of the other image, in both directions: distinct pairs, (P, 2), ascending."""
     if not len(clusters1) or not len(clusters2):
         return np.empty((0, 2), np.int64)
     forward, backward = nearest_neighbours(clusters1.representative, clusters2.representative)
@@ -98,17 +85,10 @@ def putative_matches(
     descriptors2: Float32Array,
     max_matches_per_cluster_pair: int = 400,
 ) -> PutativeMatches:
-    """Return X: all member pairs of matched clusters.
+    """Return X, all member pairs of matched clusters; the descriptors, (N1, D) and (N2, D), are those clustered.
 
-    Parameters
-    ----------
-    clusters1, clusters2 : Clusters
-        Of the features of both images.
-    descriptors1, descriptors2 : ndarray, shapes (N1, D) and (N2, D), float32
-        The unit descriptors that were clustered.
-    max_matches_per_cluster_pair : int
-        Of a pair of clusters with more member pairs, only so many, the most similar ones, are kept. The paper
-        has no such limit; two walls of bricks need one.
+    Of a pair of clusters with more member pairs than the limit, only so many, the most similar ones, are kept. The
+    paper has no such limit; two brick walls need one.
     """
     pairs = matched_clusters(clusters1, clusters2)
     members = (clusters1.members, clusters1.start, clusters2.members, clusters2.start)

@@ -15,21 +15,10 @@ def orientation_differences(orientation1_deg: FloatArray, orientation2_deg: Floa
 
 
 def roll_density(differences_deg: FloatArray, bandwidth_deg: float = 7.0) -> tuple[FloatArray, FloatArray]:
-    """Return the circular kernel density of orientation differences.
+    """Return 720 angles in degrees, half a degree apart, and the circular kernel density of the differences there.
 
-    Parameters
-    ----------
-    differences_deg : ndarray, shape (N,), float64
-        Orientation differences, degrees.
-    bandwidth_deg : float
-        Width of the von Mises kernel (its concentration is one over the squared width in radians), degrees.
-
-    Returns
-    -------
-    angles_deg : ndarray, shape (720,), float64
-        Where the density is given, half a degree apart.
-    density : ndarray, shape (720,), float64
-        Per degree; sums to 1 over the circle; uniform without any match.
+    The von Mises kernel has a concentration of one over the squared `bandwidth_deg` in radians. The density is per
+    degree, integrates to 1 over the circle, and is uniform without any match.
     """
     angles = np.arange(_GRID, dtype=np.float64) * (360.0 / _GRID)
     if not len(differences_deg):

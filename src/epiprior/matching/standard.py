@@ -14,19 +14,11 @@ _BLOCK = 512
 
 @dataclass(frozen=True)
 class Neighbours:
-    """The two most similar descriptors of the other image, for each descriptor of one image.
+    """The two most similar descriptors of the other image, for each descriptor of one image."""
 
-    Parameters
-    ----------
-    nearest : ndarray, shape (N,), int64
-        Index of the most similar one; -1 where the other image has none.
-    best, second : ndarray, shape (N,), float32
-        The highest and the second highest similarity, in [-1, 1]; -1 where there is none.
-    """
-
-    nearest: IntArray
-    best: Float32Array
-    second: Float32Array
+    nearest: IntArray  # (N,), index of the most similar one; -1 where the other image has none
+    best: Float32Array  # (N,), the highest similarity, in [-1, 1]; -1 where there is none
+    second: Float32Array  # (N,), the second highest
 
     @property
     def distance_ratio(self) -> FloatArray:
@@ -77,19 +69,11 @@ def mutual_mask(forward: Neighbours, backward: Neighbours) -> BoolArray:
 
 
 def similarity_weights(forward: Neighbours, backward: Neighbours) -> FloatArray:
-    """Return the similarity weight t_k of each descriptor of image 1 with its nearest neighbour.
+    """Return the similarity weight t_k of each descriptor of image 1 with its nearest neighbour, shape (N1,), >= 0.
 
     t_k = (1 - exp(-m_k))^2 (1 - m_k1 / m_k) (1 - m_k2 / m_k), where m_k1 and m_k2 are the second highest similarities
-    among the features of image 1 and of image 2.
-
-    Returns
-    -------
-    ndarray, shape (N1,), float64
-        >= 0; 0 where the nearest neighbour is not mutual, or m_k <= 0. Other similarities below zero count as zero.
-
-    References
-    ----------
-    Paper, section 4.1, after Brahmachari and Sarkar (BLOGS).
+    among the features of image 1 and of image 2 (section 4.1, after BLOGS by Brahmachari and Sarkar). It is 0 where the
+    nearest neighbour is not mutual, or m_k <= 0. Other similarities below zero count as zero.
     """
     weights = np.zeros(len(forward.nearest))
     keep = np.flatnonzero(mutual_mask(forward, backward) & (forward.best > 0))
@@ -102,34 +86,22 @@ def similarity_weights(forward: Neighbours, backward: Neighbours) -> FloatArray:
 
 @dataclass(frozen=True)
 class StandardTable:
-    """X_L and X_B together, one row per distinct pair of locations, ascending.
+    """X_L and X_B together, one row per distinct pair of locations, ascending; all of shape (S,).
 
-    Parameters
-    ----------
-    location1, location2 : ndarray, shape (S,), int64
-        The matched locations.
-    distance_ratio, distance_ratio_backward : ndarray, shape (S,), float64
-        d_r from image 1 to 2 and from image 2 to 1; 1 where the match is not the nearest in that direction, or d_r is
-        above the limit of X_L.
-    similarity_weight : ndarray, shape (S,), float64
-        t_k; 0 where the match is not in X_B.
-    mutual : ndarray, shape (S,), bool
-        Whether the match is in X_B.
+    A distance ratio d_r is 1 where the match is not the nearest in that direction, or d_r from image 1 to 2 is above
+    the limit of X_L.
     """
 
     location1: IntArray
     location2: IntArray
-    distance_ratio: FloatArray
-    distance_ratio_backward: FloatArray
-    similarity_weight: FloatArray
-    mutual: BoolArray
+    distance_ratio: FloatArray  # from image 1 to 2
+    distance_ratio_backward: FloatArray  # from image 2 to 1
+    similarity_weight: FloatArray  # t_k; 0 where the match is not in X_B
+    mutual: BoolArray  # whether the match is in X_B
 
 
 def standard_table(
-    forward: Neighbours,
-    backward: Neighbours,
-    location_of: tuple[IntArray, IntArray],
-    max_distance_ratio: float,
+    forward: Neighbours, backward: Neighbours, location_of: tuple[IntArray, IntArray], max_distance_ratio: float
 ) -> StandardTable:
     """Collect X_L (d_r up to the limit) and X_B (mutual nearest neighbours) by location (section 4.1).
 

@@ -27,26 +27,13 @@ _DOUBT = 0.5
 
 
 def coherence(frames: MatchFrames, location1: IntArray, weights: FloatArray) -> FloatArray:
-    """Return how far the matches around each match agree with it.
+    """Return how far the matches around each match agree with it, shape (M, 4): `COHERENCE_COLUMNS`.
 
-    Parameters
-    ----------
-    frames : MatchFrames
-        Of M putative matches, many-to-many.
-    location1 : ndarray, shape (M,), int64
-        Location of each in image 1.
-    weights : ndarray, shape (M,), float64
-        How probable each match is by itself, in [0, 1]; candidates are the matches of at least 0.02.
+    Column 1: over the 12 nearest locations of image 1 that have a candidate, the sum of the best candidate's weight
+    times its agreement. Column 2: this sum over that of the highest weights plus 0.5, so that few neighbours count
+    less. Columns 3 and 4: the same over the 48 nearest. `weights` say how probable each match is by itself, in [0, 1];
+    candidates are the matches of at least 0.02.
 
-    Returns
-    -------
-    ndarray, shape (M, 4), float64
-        `COHERENCE_COLUMNS`: over the 12 nearest locations of image 1 that have a candidate, the sum of the best
-        candidate's weight times its agreement, and this sum over that of the highest weights plus 0.5, so that few
-        neighbours count less; then the same over the 48 nearest.
-
-    Notes
-    -----
     A match at ``x1 -> x2`` expects the neighbour at ``x1 + v`` at ``x2 + s R v``, where R turns by the roll hypothesis
     and s is the geometric mean of both matches' scale changes. With e the distance from there over ``s |v|``, the
     agreement of a candidate is ``1 - (e / 0.4)^2``, and 0 beyond. Neighbours count from 2 to 300 working pixels. Where
@@ -106,16 +93,10 @@ def _agreements(x1, x2, root_scale, turn, weights, of_match, near, near_count, c
 def descriptor_weights(
     location1: IntArray, location2: IntArray, similarity: FloatArray, distance_ratio: FloatArray
 ) -> FloatArray:
-    """Return rough probabilities of matches by their descriptors alone, before any classifier.
+    """Return rough probabilities of matches by their descriptors alone, before any classifier; all of shape (M,).
 
-    Parameters
-    ----------
-    location1, location2 : ndarray, shape (M,), int64
-        Matched locations.
-    similarity : ndarray, shape (M,), float64
-        Of the descriptors, in [-1, 1]. From 0.5 to 0.9 it counts from 0 to 1, shared by the candidates of a location.
-    distance_ratio : ndarray, shape (M,), float64
-        d_r; 1 where it is missing. From 1 to 0.6 it counts from 0 to 1, and the larger of both is taken.
+    The similarity counts from 0 to 1 where it is from 0.5 to 0.9, shared by the candidates of a location; d_r (1 where
+    it is missing) counts from 0 to 1 where it is from 1 to 0.6. The larger of both is taken.
     """
     if not len(location1):
         return np.empty(0)

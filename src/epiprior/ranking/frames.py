@@ -15,31 +15,18 @@ from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
 class MatchFrames:
     """One row per putative match; lengths in working pixels, angles in radians.
 
-    Parameters
-    ----------
-    x1, x2 : ndarray, shape (M, 2), float64
-        Locations.
-    scale1, scale2 : ndarray, shape (M,), float64
-        Sigma.
-    orientation1_rad, orientation2_rad : ndarray, shape (M,), float64
-        Orientation. Where SIFT gives several at a location, those two whose descriptors are most alike.
-    similarity : ndarray, shape (M,), float64
-        Of the descriptors at these orientations, in [-1, 1].
-    fixed_similarity : ndarray, shape (M,), float64
-        Of the descriptors at the fixed orientations of the roll hypothesis, in [-1, 1].
-    roll_rad : float
-        The roll hypothesis.
+    Of several SIFT orientations at a location, those two are taken whose descriptors are most alike.
     """
 
-    x1: FloatArray
-    x2: FloatArray
-    scale1: FloatArray
-    scale2: FloatArray
-    orientation1_rad: FloatArray
-    orientation2_rad: FloatArray
-    similarity: FloatArray
-    fixed_similarity: FloatArray
-    roll_rad: float
+    x1: FloatArray  # (M, 2)
+    x2: FloatArray  # (M, 2)
+    scale1: FloatArray  # (M,), sigma
+    scale2: FloatArray  # (M,), sigma
+    orientation1_rad: FloatArray  # (M,)
+    orientation2_rad: FloatArray  # (M,)
+    similarity: FloatArray  # (M,), of the descriptors at these orientations, in [-1, 1]
+    fixed_similarity: FloatArray  # (M,), of those at the fixed orientations of the roll hypothesis
+    roll_rad: float  # the roll hypothesis
 
     def __len__(self) -> int:
         return len(self.x1)

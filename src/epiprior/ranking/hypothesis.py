@@ -48,59 +48,28 @@ class UnitedMatches:
 
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """What is known under one roll hypothesis before any classifier.
+    """What is known under one roll hypothesis before any classifier."""
 
-    Parameters
-    ----------
-    roll_deg : float
-        The hypothesis.
-    X : PutativeMatches
-        Putative matches of locations.
-    frames : MatchFrames
-        Of the rows of X.
-    two_keypoints : TwoKeypointMatches
-        With their descriptors 2kpmd.
-    united : UnitedMatches
-        X, X_L and X_B together.
-    """
-
-    roll_deg: float
-    X: PutativeMatches
-    frames: MatchFrames
-    two_keypoints: TwoKeypointMatches
-    united: UnitedMatches
+    roll_deg: float  # the hypothesis
+    X: PutativeMatches  # of locations
+    frames: MatchFrames  # of the rows of X
+    two_keypoints: TwoKeypointMatches  # with their descriptors 2kpmd
+    united: UnitedMatches  # X, X_L and X_B together
 
 
 @dataclass(frozen=True, kw_only=True)
 class Votes:
-    """The rough fundamental matrices of one roll hypothesis and their votes for each row of X.
+    """The rough fundamental matrices of one roll hypothesis and their votes for each row of X."""
 
-    Parameters
-    ----------
-    matrices : ndarray, shape (P, 3, 3), float64
-        Working pixels.
-    strengths : ndarray, shape (K,), float64
-        Probabilities of the 2keypoint matches that the matrices come from, descending.
-    sfm : ndarray, shape (len(X),), int64
-        Number of supported matrices.
-    weighted : ndarray, shape (len(X),), float64
-        The same, each matrix weighted by the product of the probabilities of its two 2keypoint matches.
-    probability : ndarray, shape (T,), float64
-        Of all 2keypoint matches.
-    """
-
-    matrices: FloatArray
-    strengths: FloatArray
-    sfm: IntArray
-    weighted: FloatArray
-    probability: FloatArray = field(repr=False)
+    matrices: FloatArray  # (P, 3, 3), working pixels
+    strengths: FloatArray  # (K,), probabilities of the 2keypoint matches that the matrices come from, descending
+    sfm: IntArray  # (len(X),), number of supported matrices
+    weighted: FloatArray  # (len(X),), each matrix weighted by the probabilities of its two 2keypoint matches
+    probability: FloatArray = field(repr=False)  # (T,), of all 2keypoint matches
 
 
 def find_candidates(
-    prepared: PreparedPair,
-    roll_deg: float,
-    settings: PreprocessSettings = DEFAULT,
-    watch: Stopwatch | None = None,
+    prepared: PreparedPair, roll_deg: float, settings: PreprocessSettings = DEFAULT, watch: Stopwatch | None = None
 ) -> Candidates:
     """Cluster the features, match clusters, match 2keypoints (sections 4.2 to 4.4), under one roll hypothesis."""
     watch = watch or Stopwatch()
@@ -151,10 +120,7 @@ def find_candidates(
 
 
 def cast_votes(
-    frames: MatchFrames,
-    pairs: TwoKeypointMatches,
-    probability: FloatArray,
-    settings: PreprocessSettings = DEFAULT,
+    frames: MatchFrames, pairs: TwoKeypointMatches, probability: FloatArray, settings: PreprocessSettings = DEFAULT
 ) -> Votes:
     """Choose the best 2keypoint matches, make a rough F of every two, count their votes (sections 4.4 and 4.5).
 

@@ -44,20 +44,12 @@ def calibrate(probability: FloatArray, a: float, b: float) -> FloatArray:
 class Classifier:
     """One exported classifier with its calibration.
 
-    Parameters
-    ----------
-    session : onnxruntime.InferenceSession
-        Takes ``rows`` (N, C) float32, gives ``probability`` (N,). It runs in one thread, so that sums are taken in one
-        order: the bytes do not depend on the machine's load.
-    columns : tuple of str
-        Names of the C columns, in order.
-    a, b : float
-        Platt scaling of the logit.
+    The session runs in one thread, so that sums are taken in one order: the bytes do not depend on the machine's load.
     """
 
-    session: onnxruntime.InferenceSession
-    columns: tuple[str, ...]
-    a: float
+    session: onnxruntime.InferenceSession  # takes rows (N, C) float32, gives probability (N,)
+    columns: tuple[str, ...]  # names of the C columns, in order
+    a: float  # Platt scaling of the logit: a logit + b
     b: float
 
     def __call__(self, rows: Float32Array) -> FloatArray:
@@ -67,10 +59,7 @@ class Classifier:
     def uncalibrated(self, rows: Float32Array) -> FloatArray:
         """Return the probabilities as the classifier gives them.
 
-        Raises
-        ------
-        FeatureError
-            If the rows have another shape or type, or hold a value that is not finite.
+        FeatureError if the rows have another shape or type, or hold a value that is not finite.
         """
         if not isinstance(rows, np.ndarray) or rows.dtype != np.float32:
             got = rows.dtype if isinstance(rows, np.ndarray) else type(rows).__name__
@@ -93,20 +82,10 @@ class Classifier:
 
 @dataclass(frozen=True)
 class RankingModel:
-    """The two classifiers of a preset.
-
-    Parameters
-    ----------
-    name : str
-        Name of the model.
-    manifest : mapping
-        Contents of ``manifest.json``: preset, training data, metrics, library versions, hashes.
-    two_keypoint, match : Classifier
-        The classifiers of 2keypoint matches and of matches.
-    """
+    """The two classifiers of a preset: of 2keypoint matches and of matches."""
 
     name: str
-    manifest: Mapping[str, Any]
+    manifest: Mapping[str, Any]  # contents of manifest.json: preset, training data, metrics, library versions, hashes
     two_keypoint: Classifier
     match: Classifier
 
@@ -121,18 +100,16 @@ class RankingModel:
         return self.match.columns
 
     def predict_two_keypoint(self, rows: Float32Array) -> FloatArray:
-        """Return the probability that each 2keypoint match consists of right matches (section 4.4).
+        """Return the calibrated probability that each 2keypoint match consists of right matches (section 4.4), (N,).
 
-        Calibrated, in (0, 1), shape (N,). `rows`, shape (N, C), float32, hold `two_keypoint_columns`; other ones raise
-        FeatureError.
+        `rows`, shape (N, C), float32, hold `two_keypoint_columns`; other ones raise FeatureError.
         """
         return self.two_keypoint(rows)
 
     def predict_match(self, rows: Float32Array) -> FloatArray:
-        """Return the probability that each match is right (section 4.6).
+        """Return the calibrated probability that each match is right (section 4.6), shape (N,).
 
-        Calibrated, in (0, 1), shape (N,). `rows`, shape (N, C), float32, hold `match_columns`; other ones raise
-        FeatureError.
+        `rows`, shape (N, C), float32, hold `match_columns`; other ones raise FeatureError.
         """
         return self.match(rows)
 
@@ -140,10 +117,7 @@ class RankingModel:
 def find_model(name: str) -> Path:
     """Return the folder of a model that comes with epiprior: in the installed package, or in a checkout.
 
-    Raises
-    ------
-    ModelError
-        If there is none; the message says where it was looked for.
+    ModelError if there is none; the message says where it was looked for.
     """
     package = Path(__file__).resolve().parents[1]
     places = (package / "_models" / name, package.parents[1] / "models" / name)
@@ -154,7 +128,7 @@ def find_model(name: str) -> Path:
 
 
 def load_model(name_or_path: str | Path) -> RankingModel:
-    """Load a model and check that it is whole.
+    """Load a model, and check that it is whole.
 
     Parameters
     ----------
@@ -164,9 +138,8 @@ def load_model(name_or_path: str | Path) -> RankingModel:
     Raises
     ------
     ModelError
-        If the folder or a file is missing, a file's hash is not the manifest's, the manifest is not JSON,
-        misses something or has an unknown schema, or its feature names do not fit the classifier. The message
-        names the file and what differs.
+        If the folder or a file is missing, a file's hash is not the manifest's, the manifest is not JSON, misses
+        something or has an unknown schema, or its feature names do not fit the classifier. The message names the file.
     """
     is_name = isinstance(name_or_path, str) and not any(slash in name_or_path for slash in "/\\")
     folder = find_model(str(name_or_path)) if is_name else Path(name_or_path)

@@ -16,27 +16,17 @@ NEAREST, WITHIN, SAME_CLUSTER = 1, 2, 4
 
 @dataclass(frozen=True)
 class Neighbourhoods:
-    """The neighbours of every feature of one image.
+    """The neighbours of every feature of one image, and by which of the paper's three methods each is one."""
 
-    Parameters
-    ----------
-    start : ndarray, shape (N + 1,), int64
-        Neighbours of feature i are the entries ``start[i]:start[i + 1]``.
-    neighbour : ndarray, shape (E,), int64
-        Feature, ascending within each neighbourhood; never at the same location.
-    rule : ndarray, shape (E,), uint8
-        By which of the paper's three methods: 1 nearest, 2 within a distance, 4 nearest of the same cluster, or a sum.
-    """
-
-    start: IntArray
-    neighbour: IntArray
-    rule: NDArray[np.uint8]
+    start: IntArray  # (N + 1,), neighbours of feature i are the entries start[i]:start[i + 1]
+    neighbour: IntArray  # (E,), ascending within each neighbourhood; never at the same location
+    rule: NDArray[np.uint8]  # (E,), a sum of NEAREST, WITHIN and SAME_CLUSTER
 
 
 def nearest_points(points: FloatArray, queries: FloatArray, count: int) -> tuple[FloatArray, IntArray]:
-    """Return distances and indices of the `count` points nearest to each query, fewer if there are no more.
+    """Return distances and indices of the `count` nearest points of each query, shape (Q, min(count, P)).
 
-    Both of shape (Q, min(count, P)). Ties are broken by index, so that the order does not depend on the tree.
+    Ties are broken by index, so that the order does not depend on the tree.
     """
     k = min(count, len(points))
     distance, index = (each.reshape(len(queries), k) for each in cKDTree(points).query(queries, k=k))
@@ -54,24 +44,11 @@ def neighbourhoods(
     nearest_of_cluster: int = 1,
     max_within: int = 40,
 ) -> Neighbourhoods:
-    """Find the neighbours of every feature by the paper's three methods.
+    """Find the neighbours of every feature by the paper's three methods; `scale` is sigma, in the unit of `xy`.
 
-    Parameters
-    ----------
-    xy : ndarray, shape (N, 2), float64
-        Locations.
-    scale : ndarray, shape (N,), float64
-        Sigma, in the same unit.
-    label : ndarray, shape (N,), int64
-        Cluster of each feature.
-    nearest : int
-        K_1: so many nearest features.
-    within : float
-        K_2: all features within this many sigma,
-    max_within : int
-        but at most so many, the nearest ones. The paper has no such limit; the largest features need one.
-    nearest_of_cluster : int
-        K_3: so many nearest features of the same cluster.
+    The `nearest` (K_1) features; all features `within` so many sigma (K_2), but at most the nearest `max_within`; the
+    `nearest_of_cluster` (K_3) features of the same cluster. The paper has no limit of K_2; the largest features need
+    one.
     """
     n = len(xy)
     if n < 2:

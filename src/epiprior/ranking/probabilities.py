@@ -16,22 +16,12 @@ from epiprior.types import Float32Array, FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Union:
-    """X, X_L and X_B together, ordered by location of image 1, then of image 2.
+    """X, X_L and X_B together, ordered by location of image 1, then of image 2."""
 
-    Parameters
-    ----------
-    location1, location2 : ndarray, shape (M,), int64
-        The matched locations.
-    in_x : ndarray, shape (M,), int64
-        Row in X, or -1.
-    in_standard : ndarray, shape (M,), int64
-        Row in the standard table, or -1.
-    """
-
-    location1: IntArray
-    location2: IntArray
-    in_x: IntArray
-    in_standard: IntArray
+    location1: IntArray  # (M,)
+    location2: IntArray  # (M,)
+    in_x: IntArray  # (M,), row in X, or -1
+    in_standard: IntArray  # (M,), row in the standard table, or -1
 
     def __len__(self) -> int:
         return len(self.location1)
@@ -85,20 +75,10 @@ def two_keypoint_scores(
 
 
 def pair_columns(strengths: FloatArray, weighted: FloatArray) -> tuple[float, float, float]:
-    """Return measures of the pair as a whole: on a hard pair the same votes mean less.
+    """Return measures of the pair as a whole, in [0, 1]: on a hard pair the same votes mean less.
 
-    Parameters
-    ----------
-    strengths : ndarray, shape (K,), float64
-        Probabilities of what the rough fundamental matrices were made of, descending.
-    weighted : ndarray, shape (len(X),), float64
-        Weighted votes of each row of X.
-
-    Returns
-    -------
-    tuple of float
-        Mean of the ten highest strengths, mean of all, and the highest share of the weighted votes that one match
-        has; 0 where there is none. All in [0, 1].
+    They are the mean of the ten highest strengths, the mean of all, and the highest share of the weighted votes that
+    one match has; 0 where there is none. `strengths` descend: the probabilities of what the matrices were made of.
     """
     if not len(strengths):
         return 0.0, 0.0, 0.0
@@ -109,15 +89,7 @@ def pair_columns(strengths: FloatArray, weighted: FloatArray) -> tuple[float, fl
 
 @dataclass(frozen=True)
 class MatchTable:
-    """The descriptor kpmd of every match of the union.
-
-    Parameters
-    ----------
-    columns : tuple of str
-        Names.
-    descriptors : ndarray, shape (M, C), float32
-        Values.
-    """
+    """The descriptor kpmd of every match of the union: named columns, float32, shape (M, C)."""
 
     columns: tuple[str, ...]
     descriptors: Float32Array
@@ -141,24 +113,11 @@ def match_table(
     around: FloatArray,
     pair: tuple[float, float, float],
 ) -> MatchTable:
-    """Compute kpmd (section 4.6): the paper's three columns, and ours.
+    """Compute kpmd (section 4.6) of M matches: the paper's three columns, and ours.
 
-    Parameters
-    ----------
-    union : Union
-        M matches.
-    frames : MatchFrames
-        Of each match.
-    table : StandardTable
-        Holds d_r and t_k; a match that misses them gets 1 and 0.
-    sfm, weighted : ndarray, shape (len(X),)
-        Votes of each row of X and votes weighted by the 2keypoint matches' probabilities; matches outside X get 0.
-    two_keypoint : tuple of ndarray, shape (len(X),)
-        From `two_keypoint_scores`.
-    around : ndarray, shape (M, 4), float64
-        From `epiprior.ranking.coherence.coherence`.
-    pair : tuple of float
-        From `pair_columns`; the same for every match.
+    `sfm` and `weighted` are votes of the rows of X, `two_keypoint` is from `two_keypoint_scores`; matches outside X get
+    0. A match that is not in `table` gets d_r = 1 and t_k = 0. `around`, shape (M, 4), is from `coherence`, `pair` from
+    `pair_columns`, the same for every match.
     """
     votes = lookup(sfm.astype(np.float64), union.in_x, 0.0)
     share = lookup(weighted, union.in_x, 0.0)

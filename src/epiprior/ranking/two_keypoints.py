@@ -16,22 +16,12 @@ from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
 
 @dataclass(frozen=True)
 class TwoKeypointMatches:
-    """Matches of 2keypoints: two putative matches whose features are close in both images (section 4.4).
+    """Matches of 2keypoints: two putative matches whose features are close in both images (section 4.4)."""
 
-    Parameters
-    ----------
-    main, other : ndarray, shape (T,), int64
-        Row in X of the match of the main points (p1, p2) and of their neighbours (n1, n2).
-    columns : tuple of str
-        Names of the columns of `descriptors`.
-    descriptors : ndarray, shape (T, C), float32
-        2kpmd: lengths in sigma of the main point, angles in radians.
-    """
-
-    main: IntArray
-    other: IntArray
+    main: IntArray  # (T,), row in X of the match of the main points (p1, p2)
+    other: IntArray  # (T,), row in X of the match of their neighbours (n1, n2)
     columns: tuple[str, ...]
-    descriptors: Float32Array
+    descriptors: Float32Array  # (T, C), 2kpmd: lengths in sigma of the main point, angles in radians
 
     def __len__(self) -> int:
         return len(self.main)
@@ -69,14 +59,10 @@ def _match_pairs(feature1, feature2, row_start, start1, neighbour1, rule1, start
 def match_two_keypoints(
     X: PutativeMatches, neighbours1: Neighbourhoods, neighbours2: Neighbourhoods
 ) -> tuple[IntArray, IntArray]:
-    """Find all matches of 2keypoints, each once however many of the three methods give it.
+    """Find all matches of 2keypoints, each once however many of the three methods give it, as rows of X, shape (T,).
 
-    Both (p1, p2) and (n1, n2) must be in X, and n1, n2 must be neighbours of p1, p2 by the same method.
-
-    Returns
-    -------
-    main, other : ndarray, shape (T,), int64
-        Rows of X. A pair and its swap are two of them; their descriptors differ.
+    Both (p1, p2) and (n1, n2) must be in X, and n1, n2 must be neighbours of p1, p2 by the same method. A pair and its
+    swap are two of them; their descriptors differ.
     """
     around1 = (neighbours1.start, neighbours1.neighbour, neighbours1.rule)
     around2 = (neighbours2.start, neighbours2.neighbour, neighbours2.rule)
@@ -100,22 +86,12 @@ def describe_two_keypoint_matches(
     same_cluster: BoolArray,
     around: FloatArray | None = None,
 ) -> TwoKeypointMatches:
-    """Compute the descriptor 2kpmd of each match of 2keypoints.
+    """Compute the descriptor 2kpmd of each match of 2keypoints, `main` and `other` from `match_two_keypoints`.
 
-    Parameters
-    ----------
-    X : PutativeMatches
-        The putative matches.
-    frames : MatchFrames
-        Location, scale, orientation and similarities of each row of X.
-    main, other : ndarray, shape (T,), int64
-        From `match_two_keypoints`.
-    same_cluster : ndarray, shape (T,), bool
-        Whether p and n belong to one cluster (in both images).
-    around : ndarray, shape (len(X), 4), float64, optional
-        From `epiprior.ranking.coherence.coherence`. If given, the columns are added that the paper does not have:
-        how far the changes of scale and orientation of both matches disagree, the similarities, the numbers of
-        candidates, how far the turns are from the roll hypothesis, and this coherence of both matches.
+    `same_cluster`, shape (T,), says whether p and n belong to one cluster in both images. If `around`, shape (len(X),
+    4), from `coherence`, is given, the columns are added that the paper does not have: how far the changes of scale and
+    orientation of both matches disagree, the similarities, the numbers of candidates, how far the turns are from the
+    roll hypothesis, and this coherence of both matches.
     """
     f = frames
     vector1, vector2 = f.x1[other] - f.x1[main], f.x2[other] - f.x2[main]

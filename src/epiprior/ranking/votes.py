@@ -19,34 +19,14 @@ _PAIRS = 1_250
 
 
 def frame_points(
-    frames: MatchFrames,
-    main: IntArray,
-    other: IntArray,
-    *,
-    frame: str = "feature",
-    radius: float = 6.0,
+    frames: MatchFrames, main: IntArray, other: IntArray, *, frame: str = "feature", radius: float = 6.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the eight point matches that each 2keypoint match gives.
+    """Return the eight point matches that each of K 2keypoint matches gives: (K, 8, 2) in each image, working pixels.
 
-    Each of its two matches gives itself and three points at angles theta + 2 pi k / 3 and `radius` scales away, in both
-    images by that match's own scale and orientation (the construction of BEEM, as we recall it).
-
-    Parameters
-    ----------
-    frames : MatchFrames
-        Of the putative matches.
-    main, other : ndarray, shape (K,), int64
-        Rows of the two matches of each 2keypoint match.
-    frame : str
-        ``feature``: scale and orientation of SIFT. ``2keypoint``: the similarity that maps (p1, n1) to (p2, n2), of
-        the size of the features.
-    radius : float
-        l, in sigma, > 0. Half the descriptor's window is 6.
-
-    Returns
-    -------
-    y1, y2 : ndarray, shape (K, 8, 2), float64
-        Matched points, working pixels.
+    Each of its two matches gives itself and three points at angles theta + 2 pi k / 3 and `radius` sigma away (half the
+    descriptor's window is 6), in both images by that match's own scale and orientation (the construction of BEEM, as we
+    recall it). `frame` says which: ``feature``, those of SIFT; ``2keypoint``, those of the similarity that maps (p1,
+    n1) to (p2, n2), of the size of the features.
     """
     rows = np.stack([main, other], axis=1)
     s1, s2 = frames.scale1[rows], frames.scale2[rows]
@@ -73,19 +53,8 @@ def _around(x: FloatArray, reach: FloatArray, angle: FloatArray) -> FloatArray:
 def rough_fundamental_matrices(y1: FloatArray, y2: FloatArray) -> FloatArray:
     """Return a rough fundamental matrix for every two 2keypoint matches, by the normalised eight-point algorithm.
 
-    Parameters
-    ----------
-    y1, y2 : ndarray, shape (K, 8, 2), float64
-        From `frame_points`; each two give 16 points.
-
-    Returns
-    -------
-    ndarray, shape (K (K - 1) / 2, 3, 3), float64
-        Rank 2, Frobenius norm 1. Pairs in the order (0, 1), (0, 2), ..., (1, 2), ...
-
-    References
-    ----------
-    Hartley and Zisserman, algorithm 11.1.
+    From points (K, 8, 2) matrices (K (K - 1) / 2, 3, 3) of rank 2 and Frobenius norm 1, in the order (0, 1), (0, 2),
+    ..., (1, 2), ... (Hartley and Zisserman, algorithm 11.1).
     """
     i, j = np.triu_indices(len(y1), 1)
     F = np.empty((len(i), 3, 3))
@@ -162,31 +131,12 @@ def add_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no
 
 
 def count_votes(
-    F: FloatArray,
-    x1: FloatArray,
-    x2: FloatArray,
-    threshold: float = 3.0,
-    weights: FloatArray | None = None,
+    F: FloatArray, x1: FloatArray, x2: FloatArray, threshold: float = 3.0, weights: FloatArray | None = None
 ) -> tuple[IntArray, FloatArray]:
-    """Count for each match the matrices it supports: the paper's sfm.
+    """Count for each match the matrices it supports, the paper's sfm, and sum their weights (1 by default), shape (M,).
 
-    Parameters
-    ----------
-    F : ndarray, shape (P, 3, 3), float64
-        Rough fundamental matrices.
-    x1, x2 : ndarray, shape (M, 2), float64
-        Putative matches, pixels.
-    threshold : float
-        A match supports a matrix when its Sampson distance is below this, pixels.
-    weights : ndarray, shape (P,), float64, optional
-        Weight of each matrix's vote; one by default.
-
-    Returns
-    -------
-    sfm : ndarray, shape (M,), int64
-        Number of supported matrices, 0 to P. It does not depend on the number of threads.
-    weighted : ndarray, shape (M,), float64
-        Sum of their weights.
+    A match supports a matrix when its Sampson distance is below `threshold` pixels. The counts do not depend on the
+    number of threads.
     """
     votes, weighted = np.zeros(len(x1), np.int64), np.zeros(len(x1), np.float32)
     if not len(F) or not len(x1):
