@@ -1,7 +1,7 @@
 """The parameters of both pipelines: one strict schema over ``params.yaml`` and ``benchmarks/real/params.yaml``.
 
-Every key must be there, of its type and in its range. There are no defaults: the files say everything. A section that
-is made by hand is checked in the same way, and raises pydantic's ``ValidationError``, a ``ValueError``.
+Every key must be there, of its type and in its range; there are no defaults. A section that is made by hand is checked
+in the same way, and raises pydantic's ``ValidationError``, a ``ValueError``.
 """
 
 import json
@@ -148,10 +148,7 @@ class GalleryParams:
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class ReportParams:
-    """Thresholds of success, the bootstrap and what is shown.
-
-    `hard_groups` and `easy_groups` are groups, or difficulties of pairs: easy, medium, hard.
-    """
+    """Thresholds of success, the bootstrap and what is shown; groups may be difficulties: easy, medium, hard."""
 
     seed: Seed
     success_px: Pixels
@@ -342,23 +339,10 @@ def _check_known(key: str, values: Any, known: tuple[Any, ...]) -> None:
 
 
 def load_params(path: Path | str = STUDY) -> Params:
-    """Read and check a parameter file.
+    """Read and check a parameter file: `StudyParams` where it has a section that only the study has.
 
-    Parameters
-    ----------
-    path : Path or str
-        YAML file, relative to the working directory: DVC runs stages at the root.
-
-    Returns
-    -------
-    Params
-        `StudyParams` where the file has a section that only the study has.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, or a key is unknown, missing, of a wrong type or out of its range. The
-        message names the file, the keys and their values.
+    SettingsError if the file cannot be read, or a key is unknown, missing, of a wrong type or out of its range. The
+    message names the file, the keys and their values.
     """
     document = _read(path)
     own = StudyParams.__dataclass_fields__.keys() - Params.__dataclass_fields__.keys()

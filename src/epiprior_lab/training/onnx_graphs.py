@@ -18,15 +18,7 @@ _OPSET, _ML_OPSET, _IR_VERSION = 17, 3, 9
 
 @functools.singledispatch
 def to_onnx(fitted: Fitted) -> bytes:
-    """Return a fitted classifier as a serialised graph.
-
-    Its probabilities equal ``fitted.probability`` to 1e-6 on any finite float32 rows.
-
-    Raises
-    ------
-    TypeError
-        If the class is not one of `families`.
-    """
+    """Return a serialised graph whose probabilities equal ``fitted.probability`` to 1e-6 on any finite float32 rows."""
     raise TypeError(f"no ONNX export for {type(fitted).__name__}")
 
 
@@ -101,8 +93,7 @@ def _(fitted: SupportVectors) -> bytes:
 def _tree_graph(converted: onnx.ModelProto, width: int, *, logistic: bool) -> bytes:
     """Rebuild a converted classifier as the sum of its trees.
 
-    What converters put around the trees is dropped: labels, and the marks of where missing values go, which
-    slow the runtime down and mean nothing for finite rows.
+    Labels are dropped, and so are marks of where missing values go, which slow the runtime down.
     """
     (node,) = [node for node in converted.graph.node if node.op_type == "TreeEnsembleClassifier"]
     found = {item.name: helper.get_attribute_value(item) for item in node.attribute}

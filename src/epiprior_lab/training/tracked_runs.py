@@ -54,12 +54,7 @@ def _run(comparison: Comparison, family: str, parameters: Mapping[str, Any]) -> 
     return Run(
         experiment=data.target,
         name=f"{comparison.preset}-{family}",
-        tags={
-            "preset": comparison.preset,
-            "target": data.target,
-            "family": family,
-            "exported": str(exported).lower(),
-        },
+        tags={"preset": comparison.preset, "target": data.target, "family": family, "exported": str(exported).lower()},
         parameters=parameters,
         metrics=metrics,
         folds=[
