@@ -1,7 +1,4 @@
-"""Measures of rankings and of probabilities, for training and evaluation alike.
-
-A ranking is a boolean array: whether each match is right, best first.
-"""
+"""Measures of rankings (boolean: whether each match is right, best first) and of probabilities."""
 
 from __future__ import annotations
 
@@ -14,10 +11,7 @@ from epiprior.types import BoolArray, FloatArray, IntArray
 
 
 def precision_at(right: BoolArray, depth: int) -> float:
-    """Return the share of right matches among the first `depth`, ``>= 1``.
-
-    A shorter list counts as filled up with wrong matches, as in the paper's "number of inliers among the top 100".
-    """
+    """Return the share of right ones among the first `depth`; as in the paper, what a shorter list lacks is wrong."""
     return float(np.count_nonzero(right[:depth]) / depth)
 
 
@@ -43,11 +37,7 @@ def right_among_first(right: BoolArray, ranks: IntArray) -> IntArray:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationBins:
-    """Sums over B equal bins of probability; sums of several pairs may be added.
-
-    Per bin, shape (B,): number of matches, of right ones, sum of probabilities, and of squared differences from the
-    truth.
-    """
+    """Sums over equal bins of probability, shape (B,), which add up over pairs; errors are from 1 (right) or 0."""
 
     count: IntArray
     right: IntArray

@@ -45,9 +45,6 @@ _BASELINES = frozenset({"standard", "generalized"})  # what an estimator gets wi
 _DIFFICULTIES = ("easy", "medium", "hard")
 
 
-# --- sections of both pipelines
-
-
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class EvaluateParams:
     """Which pairs are evaluated, and by which estimators, inputs and seeds.
@@ -190,9 +187,6 @@ class Params:
         _check_known("report.easy_groups", report.easy_groups, groups)
 
 
-# --- sections of the study alone
-
-
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class PairCounts:
     """Pairs of each family in each split."""
@@ -333,9 +327,6 @@ def _check_known(key: str, values: Any, known: tuple[Any, ...]) -> None:
     for value in values:
         if value not in known:
             raise ValueError(f"{key}: {value!r} is not among {', '.join(map(str, known))}")
-
-
-# --- files
 
 
 def load_params(path: Path | str = STUDY) -> Params:

@@ -1,10 +1,7 @@
-"""MLflow: measures of training for people to look at. The only module that imports mlflow.
+"""MLflow, in ``mlflow.db`` and ``mlartifacts/`` at the root of the repository, for people to look at.
 
-The database ``mlflow.db`` and the artifacts ``mlartifacts/`` lie at the root of the repository. No stage reads them.
-Where tracking fails the stage logs a warning and goes on.
+No stage reads it, and where tracking fails the stage logs a warning and goes on. No other module imports mlflow.
 """
-
-from __future__ import annotations
 
 import contextlib
 import importlib.metadata

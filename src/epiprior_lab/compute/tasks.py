@@ -45,9 +45,8 @@ class TaskError(EpipriorError):
 class Task:
     """One call of the function of `map_tasks`; its name, usually the pair id, is unique within the call.
 
-    The payload holds keyword arguments of the function: None, numbers, strings, bytes, paths, dataclasses, numpy
-    arrays, and lists, tuples and dicts of these. `files` are those that the function reads; their contents enter the
-    key.
+    The payload holds keyword arguments: None, numbers, strings, bytes, paths, dataclasses, numpy arrays, and lists,
+    tuples and dicts of these. `files` are those that the function reads; their contents enter the key.
     """
 
     name: str
@@ -88,8 +87,7 @@ def map_tasks(
 
     TaskError if a task fails: no more are started, those that were handed out end and are kept, and the error names the
     first one that failed, in the order of the tasks. Also if a file of a task cannot be read, or the workers are lost.
-    SettingsError if `workers` is below 1, a name is repeated, a payload has no stable key, or the scheduler cannot be
-    used.
+    SettingsError if `workers` is below 1, a name is repeated, a payload has no stable key, or no scheduler answers.
     """
     if workers < 1:
         raise SettingsError(f"workers = {workers}: expected 1 or more")
@@ -227,9 +225,6 @@ def _run(call: bytes, label: str, folder: Path, installation: Installation | Non
 
 def _failure(label: str, error: Exception) -> TaskError:
     return error if isinstance(error, TaskError) else TaskError(f"{label} failed: {type(error).__name__}: {error}")
-
-
-# --- progress
 
 
 @contextlib.contextmanager

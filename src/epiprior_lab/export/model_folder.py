@@ -1,7 +1,5 @@
 """Model folders: what `epiprior.ranking.models.load_model` reads, made from the results of training and checked."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import asdict

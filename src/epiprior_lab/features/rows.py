@@ -1,8 +1,4 @@
-"""Training rows: what the library computes of a pair before any classifier, labelled by the ground truth.
-
-The rows of the first classifier (2kpmd) are stored as they are. Those of the second (kpmd) depend on the first:
-`match_rows` computes them from stored parts and from probabilities of a first classifier that never saw the scene.
-"""
+"""Training rows: what the library computes of a pair before any classifier, labelled by the ground truth."""
 
 from __future__ import annotations
 
@@ -53,10 +49,7 @@ class PairRows:
 
 
 def extract_rows(pair: Pair, presets: Sequence[str], labels: LabelSettings | None = None) -> dict[str, list[PairRows]]:
-    """Run the library up to the first classifier and label the matches; what presets have in common is done once.
-
-    Returns the rows of every roll hypothesis, by preset.
-    """
+    """Run the library up to the first classifier and label the matches, for every preset and roll hypothesis."""
     found = detect_pair(pair)
     return {preset: _preset_rows(pair, found, preset, labels) for preset in presets}
 
@@ -99,7 +92,8 @@ def _labels(
 def match_rows(rows: PairRows, probability: FloatArray) -> tuple[Float32Array, BoolArray]:
     """Let the rough fundamental matrices vote; return the preset's `match_columns`, (M, C) float32, and labels.
 
-    `probability`, shape (T,), is of each 2keypoint match, from a classifier that was not trained on this scene.
+    `probability`, shape (T,), is of each 2keypoint match, from a first classifier that was not trained on this scene: kpmd
+    depends on it, so that these rows cannot be stored as those of the first classifier are.
     """
     settings = find_preset(rows.preset)
     votes = hypothesis.cast_votes(rows.united.frames_of_x(), rows.two_keypoints, probability, settings)

@@ -85,10 +85,7 @@ def fit_platt(probability: FloatArray, labels: BoolArray) -> Platt:
 
 
 def cross_calibrate(probability: FloatArray, labels: BoolArray, fold: IntArray) -> FloatArray:
-    """Return out-of-fold probabilities, shape (N,), each calibrated on the rows of the other folds.
-
-    A fold keeps its probabilities where the rows of the others cannot be calibrated.
-    """
+    """Return out-of-fold probabilities, each calibrated on the other folds' rows, or as they are if those cannot be."""
     result = np.array(probability, np.float64)
     score, start = _logit(probability), None
     for number in np.unique(fold):

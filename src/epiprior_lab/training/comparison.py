@@ -33,11 +33,7 @@ PARITY_ROWS = 2000
 
 @dataclass(frozen=True, kw_only=True)
 class Refit:
-    """The exported family fitted to all rows: its graph, and the share of each column in its decisions, shape (C,).
-
-    `parity_rows`, shape (M, C), are some of the rows; `parity_probability`, shape (M,), is what the classifier itself
-    gives them, before export.
-    """
+    """The exported family fitted to all rows; before export it gives `parity_rows` the `parity_probability`."""
 
     onnx: bytes
     importances: FloatArray | None
@@ -72,8 +68,7 @@ def train(
     """Train both classifiers of every preset; return the comparisons for ``two_keypoint`` and ``match`` by preset.
 
     `folders` holds, by preset, the rows of the training pairs as the stage `features` writes them; `workers` and
-    `store` are as for `map_tasks`. The result is the same whatever the number of workers, times aside. SettingsError if
-    a folder has no rows, or a family is unknown.
+    `store` are as for `map_tasks`. SettingsError if a folder has no rows, or a family is unknown.
     """
     unknown = [family for family in params.families if family not in FAMILIES]
     if unknown:

@@ -51,10 +51,7 @@ class CrossValidation:
 
 
 def folds_by_scene(labels: BoolArray, scene: NDArray[np.str_], folds: int, seed: int) -> IntArray:
-    """Deal scenes out to folds so that each fold has about the same share of right rows.
-
-    Returns the fold of each row, in ``[0, folds)``; no scene is in two. TrainingError if scenes are fewer than folds.
-    """
+    """Deal scenes out to folds with about the same share of right rows; TrainingError if there are more folds."""
     names, code = np.unique(scene, return_inverse=True)
     if len(names) < folds:
         raise TrainingError(f"{len(names)} scenes for {folds} folds: every fold needs a scene")

@@ -1,7 +1,4 @@
-"""The families of classifiers that are compared: decision tree, random forest, SVM, LightGBM.
-
-A family is a name and a function that fits a `Fitted` to rows, float32 (N, C), and labels, bool (N,), in one thread.
-"""
+"""The families of classifiers that are compared: each is a function that fits a `Fitted` in one thread."""
 
 from __future__ import annotations
 
@@ -199,10 +196,7 @@ FAMILIES: dict[str, Callable[[Float32Array, BoolArray, int], Fitted]] = {
 
 
 def fit(family: str, rows: Float32Array, labels: BoolArray, *, seed: int, max_rows: int | None = None) -> Fitted:
-    """Fit a classifier of a family to finite rows, on at most `max_rows` of them, sampled by `sample_by_class`.
-
-    SettingsError if the family is unknown, TrainingError if the rows cannot be trained on.
-    """
+    """Fit a family to at most `max_rows` rows; SettingsError if unknown, TrainingError if rows cannot be trained on."""
     if family not in FAMILIES:
         raise SettingsError(f"family {family!r}: expected one of {', '.join(FAMILIES)}")
     if rows.dtype != np.float32 or rows.ndim != 2 or labels.shape != (len(rows),):

@@ -60,11 +60,7 @@ def precision_of_top(probability: FloatArray, labels: BoolArray, top: int = TOP)
 
 
 def row_metrics(probability: FloatArray, labels: BoolArray) -> dict[str, float]:
-    """Return `ROW_METRICS`: accuracy and precision at 0.5 as in the paper, and measures of the probabilities.
-
-    The log loss clips probabilities to [1e-7, 1 - 1e-7]. Precision is NaN if none is above 0.5; all are NaN for no
-    rows.
-    """
+    """Return `ROW_METRICS`, NaN for no rows: accuracy, precision at 0.5 as in the paper; measures of probabilities."""
     if not len(labels):
         return dict.fromkeys(ROW_METRICS, float("nan"))
     said = probability > 0.5

@@ -1,7 +1,4 @@
-"""Fitted classifiers of any family as ONNX graphs.
-
-Every graph is ``rows`` (N, C) float32 in, ``probability`` (N,) float32 out; the same fit gives the same bytes.
-"""
+"""Fitted classifiers as ONNX graphs of the same bytes in every run: ``rows`` (N, C) and ``probability`` (N,), float32."""
 
 from __future__ import annotations
 
@@ -91,10 +88,7 @@ def _(fitted: SupportVectors) -> bytes:
 
 
 def _tree_graph(converted: onnx.ModelProto, width: int, *, logistic: bool) -> bytes:
-    """Rebuild a converted classifier as the sum of its trees.
-
-    Labels are dropped, and so are marks of where missing values go, which slow the runtime down.
-    """
+    """Rebuild a classifier as the sum of its trees, without marks of missing values, which slow the runtime down."""
     (node,) = [node for node in converted.graph.node if node.op_type == "TreeEnsembleClassifier"]
     found = {item.name: helper.get_attribute_value(item) for item in node.attribute}
     # Converters of scikit-learn give a weight to both classes, that of LightGBM gives the logit as class 0.

@@ -1,9 +1,4 @@
-"""Densities of the distance ratio of right and wrong nearest neighbours: the two tables of the ratio prior.
-
-``python -m epiprior_lab.training.ratio_densities`` learns them from the rendered training scenes, and prints them.
-"""
-
-from __future__ import annotations
+"""Learn both tables of the ratio prior from the rendered training scenes; run as a module, it prints them."""
 
 from collections.abc import Iterable
 from pathlib import Path

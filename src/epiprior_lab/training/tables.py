@@ -1,7 +1,5 @@
 """Results of training: measures, curves and importances as tables, and the two classifiers to export."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
@@ -75,10 +73,7 @@ def _validations(comparisons: Iterable[Comparison]) -> Iterator[tuple[tuple[str,
 
 
 def metrics_csv(comparisons: Iterable[Comparison]) -> str:
-    """Return the measures; those that are not defined have no row.
-
-    The fold is a number, ``all``, ``deviation`` or ``calibrated``.
-    """
+    """Return the measures that are defined; the fold is a number, ``all``, ``deviation`` or ``calibrated``."""
     lines: list[Sequence[Any]] = []
     for head, _, item in _validations(comparisons):
         tables = {str(number): metrics for number, metrics in enumerate(item.fold_metrics)}

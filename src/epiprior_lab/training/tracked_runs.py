@@ -1,7 +1,5 @@
 """What MLflow is told of a comparison: a run per family, and the model of the exported one."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
