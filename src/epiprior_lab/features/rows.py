@@ -92,8 +92,8 @@ def _labels(
 def match_rows(rows: PairRows, probability: FloatArray) -> tuple[Float32Array, BoolArray]:
     """Let the rough fundamental matrices vote; return the preset's `match_columns`, (M, C) float32, and labels.
 
-    `probability`, shape (T,), is of each 2keypoint match, from a first classifier that was not trained on this scene: kpmd
-    depends on it, so that these rows cannot be stored as those of the first classifier are.
+    `probability`, shape (T,), is of each 2keypoint match, from a first classifier that was not trained on this scene:
+    kpmd depends on it, so that these rows cannot be stored as those of the first classifier are.
     """
     settings = find_preset(rows.preset)
     votes = hypothesis.cast_votes(rows.united.frames_of_x(), rows.two_keypoints, probability, settings)

@@ -1,4 +1,4 @@
-"""Fitted classifiers as ONNX graphs of the same bytes in every run: ``rows`` (N, C) and ``probability`` (N,), float32."""
+"""Fitted classifiers as ONNX graphs, the same bytes in every run: ``rows`` (N, C), ``probability`` (N,), float32."""
 
 from __future__ import annotations
 
