@@ -71,9 +71,7 @@ def promote(
 
 
 @app.command()
-def readme(
-    root: Annotated[Path, typer.Option(help="Root of the repository.")] = Path(),
-) -> None:
+def readme(root: Annotated[Path, typer.Option(help="Root of the repository.")] = Path()) -> None:
     """Write the result tables of the README anew from the reports."""
     from epiprior_lab.report.readme import update_readme
 
@@ -81,9 +79,7 @@ def readme(
 
 
 @app.command("check-lock")
-def check_lock(
-    root: Annotated[Path, typer.Option(help="Root of the repository.")] = Path(),
-) -> None:
+def check_lock(root: Annotated[Path, typer.Option(help="Root of the repository.")] = Path()) -> None:
     """Check that dvc.lock, and that of the photographs, belong to this code, these parameters, models and reports."""
     from epiprior_lab import lockcheck
 

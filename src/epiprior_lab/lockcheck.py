@@ -1,8 +1,8 @@
 """Tell whether the locks of both pipelines belong to this code, these parameters and these committed results.
 
-``dvc status`` answers that only where the data are present. A clean clone has none, so this check asks DVC for the
-hashes of what git holds (code, parameters, models, reports), and compares cached data by what the lock says of them: a
-stage must have read what the stage before it wrote. Photographs, which git does not hold, are left out.
+``dvc status`` needs the data, which a clean clone lacks. This check asks DVC for the hashes of what git holds (code,
+parameters, models, reports), and compares cached data by what the lock says of them: a stage must have read what the
+stage before it wrote. Photographs, which git does not hold, are left out.
 """
 
 import os
@@ -14,8 +14,8 @@ import yaml
 
 from epiprior.errors import EpipriorError
 
+# Folder of each pipeline, from the root, and the command that runs it.
 PIPELINES = {"": "make repro", "benchmarks/real": "make real DATA=FOLDER"}
-"""Folder of each pipeline, from the root, and the command that runs it."""
 
 
 class LockError(EpipriorError):
@@ -26,12 +26,7 @@ def check_lock(root: Path, pipeline: str = "") -> dict[str, list[str]]:
     """Return what differs between a pipeline's ``dvc.lock`` and the working tree, by stage.
 
     `root` is the folder of ``.dvc``, `pipeline` a key of `PIPELINES`; a difference reads ``"src/epiprior: modified"``.
-    Data in DVC's cache are not looked at, so they need not be there.
-
-    Raises
-    ------
-    LockError
-        If there is no ``dvc.lock``, or DVC cannot read the pipeline.
+    LockError if there is no ``dvc.lock``, or DVC cannot read the pipeline.
     """
     os.environ["DVC_NO_ANALYTICS"] = "1"
     from dvc.exceptions import DvcException

@@ -1,7 +1,4 @@
-"""Measures of rankings and of probabilities, for training and evaluation alike.
-
-A ranking is a boolean array: whether each match is right, best first.
-"""
+"""Measures of rankings (boolean: whether each match is right, best first) and of probabilities."""
 
 from __future__ import annotations
 
@@ -14,21 +11,7 @@ from epiprior.types import BoolArray, FloatArray, IntArray
 
 
 def precision_at(right: BoolArray, depth: int) -> float:
-    """Return the share of right matches among the first `depth`.
-
-    Parameters
-    ----------
-    right : ndarray, shape (N,), bool
-        Whether each match is right, best first.
-    depth : int
-        Number of leading matches, >= 1.
-
-    Returns
-    -------
-    float
-        In [0, 1]. A list that is shorter counts as filled up with wrong matches, as in the paper's "number of
-        inliers among the top 100".
-    """
+    """Return the share of right ones among the first `depth`; as in the paper, what a shorter list lacks is wrong."""
     return float(np.count_nonzero(right[:depth]) / depth)
 
 
@@ -41,15 +24,7 @@ def average_precision(right: BoolArray) -> float:
 
 
 def log_ranks(limit: int, per_decade: int = 12) -> IntArray:
-    """Return increasing, different ranks from 1 to `limit`, evenly spread on a logarithmic scale.
-
-    Parameters
-    ----------
-    limit : int
-        Highest rank, >= 1; always the last one.
-    per_decade : int
-        Ranks per factor of ten before rounding.
-    """
+    """Return increasing, different ranks from 1 to `limit`, `per_decade` (before rounding) per factor of ten."""
     exponents = np.arange(int(np.floor(np.log10(limit) * per_decade)) + 1) / per_decade
     return np.unique(np.append(np.rint(10**exponents).astype(np.int64), limit))
 
@@ -62,15 +37,7 @@ def right_among_first(right: BoolArray, ranks: IntArray) -> IntArray:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationBins:
-    """Sums over equal bins of probability; sums of several pairs may be added.
-
-    Parameters
-    ----------
-    count, right : ndarray, shape (B,), int64
-        Matches in the bin, and right ones among them.
-    probability, squared_error : ndarray, shape (B,), float64
-        Sum of probabilities, and of squared differences from 1 (right) or 0 (wrong).
-    """
+    """Sums over equal bins of probability, shape (B,), which add up over pairs; errors are from 1 (right) or 0."""
 
     count: IntArray
     right: IntArray
@@ -97,22 +64,7 @@ class CalibrationBins:
 
 
 def calibration_bins(probability: FloatArray, right: BoolArray, bins: int = 20) -> CalibrationBins:
-    """Sum probabilities and outcomes over `bins` equal bins of [0, 1].
-
-    Parameters
-    ----------
-    probability : ndarray, shape (N,), float64
-        In [0, 1].
-    right : ndarray, shape (N,), bool
-        Outcomes.
-    bins : int
-        Number of bins, >= 1; the last one holds 1.
-
-    Raises
-    ------
-    SettingsError
-        If a probability is not in [0, 1].
-    """
+    """Sum probabilities and outcomes over equal bins of [0, 1]; SettingsError if a probability is not in it."""
     p = np.asarray(probability, np.float64)
     if len(p) and not (p.min() >= 0 and p.max() <= 1):
         raise SettingsError(f"calibration: probabilities from {p.min()} to {p.max()}, expected 0 to 1")

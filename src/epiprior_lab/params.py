@@ -1,7 +1,7 @@
 """The parameters of both pipelines: one strict schema over ``params.yaml`` and ``benchmarks/real/params.yaml``.
 
-Every key must be there, of its type and in its range. There are no defaults: the files say everything. A section that
-is made by hand is checked in the same way, and raises pydantic's ``ValidationError``, a ``ValueError``.
+Every key must be there, of its type and in its range; there are no defaults. A section that is made by hand is checked
+in the same way, and raises pydantic's ``ValidationError``, a ``ValueError``.
 """
 
 import json
@@ -43,9 +43,6 @@ ImageSize = Annotated[int, Field(ge=64, le=8192)]
 _STRICT = ConfigDict(extra="forbid", strict=True)
 _BASELINES = frozenset({"standard", "generalized"})  # what an estimator gets without the preprocessing step
 _DIFFICULTIES = ("easy", "medium", "hard")
-
-
-# --- sections of both pipelines
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -148,10 +145,7 @@ class GalleryParams:
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class ReportParams:
-    """Thresholds of success, the bootstrap and what is shown.
-
-    `hard_groups` and `easy_groups` are groups, or difficulties of pairs: easy, medium, hard.
-    """
+    """Thresholds of success, the bootstrap and what is shown; groups may be difficulties: easy, medium, hard."""
 
     seed: Seed
     success_px: Pixels
@@ -191,9 +185,6 @@ class Params:
         groups = (*self.evaluate.groups, *_DIFFICULTIES)
         _check_known("report.hard_groups", report.hard_groups, groups)
         _check_known("report.easy_groups", report.easy_groups, groups)
-
-
-# --- sections of the study alone
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -338,27 +329,11 @@ def _check_known(key: str, values: Any, known: tuple[Any, ...]) -> None:
             raise ValueError(f"{key}: {value!r} is not among {', '.join(map(str, known))}")
 
 
-# --- files
-
-
 def load_params(path: Path | str = STUDY) -> Params:
-    """Read and check a parameter file.
+    """Read and check a parameter file: `StudyParams` where it has a section that only the study has.
 
-    Parameters
-    ----------
-    path : Path or str
-        YAML file, relative to the working directory: DVC runs stages at the root.
-
-    Returns
-    -------
-    Params
-        `StudyParams` where the file has a section that only the study has.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, or a key is unknown, missing, of a wrong type or out of its range. The
-        message names the file, the keys and their values.
+    SettingsError if the file cannot be read, or a key is unknown, missing, of a wrong type or out of its range. The
+    message names the file, the keys and their values.
     """
     document = _read(path)
     own = StudyParams.__dataclass_fields__.keys() - Params.__dataclass_fields__.keys()

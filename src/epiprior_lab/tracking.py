@@ -1,10 +1,7 @@
-"""MLflow: measures of training for people to look at. The only module that imports mlflow.
+"""MLflow, in ``mlflow.db`` and ``mlartifacts/`` at the root of the repository, for people to look at.
 
-The database ``mlflow.db`` and the artifacts ``mlartifacts/`` lie at the root of the repository. They are
-write-only: no stage reads them, and where tracking fails the stage logs a warning and goes on.
+No stage reads it, and where tracking fails the stage logs a warning and goes on. No other module imports mlflow.
 """
-
-from __future__ import annotations
 
 import contextlib
 import importlib.metadata
@@ -14,7 +11,7 @@ import os
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +21,6 @@ from epiprior.errors import EpipriorError
 from epiprior.ranking.models import TARGETS
 from epiprior.types import Float32Array
 
-ALIAS = "champion"
 _LOG = logging.getLogger(__name__)
 # Without it MLflow's page takes the runs for those of a language model, and opens on empty charts of traces.
 _SHOWN_AS_TRAINING = ("mlflow.experimentKind", "custom_model_development")
@@ -38,43 +34,24 @@ class TrackingError(EpipriorError, RuntimeError):
 class Run:
     """One run of MLflow, with a nested run per fold.
 
-    Parameters
-    ----------
-    experiment, name : str
-        Names of the experiment, below ``epiprior/``, and of the run.
-    tags, parameters : mapping
-        What describes the run. The tags ``preset`` and ``exported`` are what `promote` looks for.
-    metrics : mapping of str to float
-        Values that are not finite are left out.
-    folds : sequence of mapping
-        Metrics of each fold.
-    figures : mapping of str to Figure
-        By file name.
-    onnx : bytes or None
-        A model to log,
-    rows : ndarray, shape (M, C), float32, or None
-        and a few rows to show what it takes.
+    The experiment is named below ``epiprior/``; `promote` looks for the tags ``preset`` and ``exported``. Metrics, of
+    all and of each fold, are left out where not finite. Figures are by file name; `onnx` is a model to log, if any, and
+    `rows`, shape (M, C), are a few rows to show what it takes.
     """
 
     experiment: str
     name: str
     tags: Mapping[str, str]
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    metrics: Mapping[str, float] = field(default_factory=dict)
-    folds: Sequence[Mapping[str, float]] = ()
-    figures: Mapping[str, Figure] = field(default_factory=dict)
-    onnx: bytes | None = None
-    rows: Float32Array | None = None
+    parameters: Mapping[str, Any]
+    metrics: Mapping[str, float]
+    folds: Sequence[Mapping[str, float]]
+    figures: Mapping[str, Figure]
+    onnx: bytes | None
+    rows: Float32Array
 
 
 def repository_root() -> Path:
-    """Return the root: ``DVC_ROOT``, or the nearest folder upwards that holds ``dvc.yaml``.
-
-    Raises
-    ------
-    TrackingError
-        If there is none.
-    """
+    """Return ``DVC_ROOT``, or the nearest folder upwards that holds ``dvc.yaml``; TrackingError if there is none."""
     if named := os.environ.get("DVC_ROOT"):
         return Path(named)
     here = Path.cwd()
@@ -85,13 +62,7 @@ def repository_root() -> Path:
 
 
 def track(runs: Sequence[Run], *, root: Path | None = None) -> bool:
-    """Log runs in the database at `root`, by default `repository_root`.
-
-    Returns
-    -------
-    bool
-        False if something failed. That was logged as a warning; nothing is raised.
-    """
+    """Log runs at `root`, by default `repository_root`; False, a warning and no error if something failed."""
     try:
         root = root or repository_root()
         with _mlflow(root) as client:
@@ -104,17 +75,9 @@ def track(runs: Sequence[Run], *, root: Path | None = None) -> bool:
 
 
 def promote(preset: str, *, root: Path | None = None) -> dict[str, str]:
-    """Register the newest exported classifiers of a preset and give them the alias ``champion``.
+    """Register the newest exported classifiers of a preset as ``champion``; return versions by registered name.
 
-    Returns
-    -------
-    dict
-        Registered name -> version, for both targets.
-
-    Raises
-    ------
-    TrackingError
-        If no finished run of an exported family is found, or MLflow fails.
+    TrackingError if no finished run of an exported family is found, or MLflow fails.
     """
     root = root or repository_root()
     if not (root / "mlflow.db").is_file():
@@ -134,7 +97,7 @@ def _register(client: Any, name: str, run: Any) -> tuple[str, str]:
     (model,) = run.outputs.model_outputs
     source = f"models:/{model.model_id}"
     version = client.create_model_version(name, source, run_id=run.info.run_id, model_id=model.model_id).version
-    client.set_registered_model_alias(name, ALIAS, version)
+    client.set_registered_model_alias(name, "champion", version)
     return name, str(version)
 
 
@@ -172,7 +135,6 @@ def _mlflow(root: Path) -> Iterator[Any]:
 
 
 def _log(client: Any, root: Path, run: Run) -> None:
-    """Log a run: parameters, metrics, folds, figures, model."""
     name = f"epiprior/{run.experiment}"
     found = client.get_experiment_by_name(name)
     location = (root / "mlartifacts" / run.experiment).resolve().as_uri()
@@ -187,7 +149,7 @@ def _log(client: Any, root: Path, run: Run) -> None:
         client.set_terminated(fold)
     for file, figure in run.figures.items():
         client.log_figure(parent, figure, file)
-    if run.onnx is not None and run.rows is not None:
+    if run.onnx is not None:
         _log_model(parent, run.onnx, run.rows)
     client.set_terminated(parent)
 

@@ -24,11 +24,10 @@ _PARENT_CHECK_SECONDS = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Pool:
-    """An executor, and how much it is given at a time.
+    """An executor, and how many tasks should be submitted and not yet done: ``capacity()``, ``>= 1``.
 
-    `capacity` returns how many tasks should be submitted and not yet done, ``>= 1``: enough that no worker waits, few
-    enough that memory stays bounded; it raises BrokenExecutor if the workers are lost. Workers of a `remote` pool were
-    started by somebody else, perhaps with other code, in another folder.
+    So many that no worker waits, and memory stays bounded; BrokenExecutor if the workers are lost. Workers of a
+    `remote` pool were started by somebody else, perhaps with other code, in another folder.
     """
 
     executor: Executor
@@ -40,12 +39,8 @@ def open_pool(*, workers: int, scheduler: str | None) -> contextlib.AbstractCont
     """Open workers for one piece of work: of a dask scheduler, or processes (with 0 or 1, this process).
 
     An exception inside, other than an EpipriorError, ends processes beside this one at once, tasks in flight included;
-    a cluster is told to forget the tasks.
-
-    Raises
-    ------
-    SettingsError
-        If the address is none, no scheduler answers, it has no worker, or ``distributed`` is not installed.
+    a cluster is told to forget the tasks. SettingsError if the address is none, no scheduler answers, it has no worker,
+    or ``distributed`` is not installed.
     """
     if scheduler is not None:
         return _on_cluster(scheduler)

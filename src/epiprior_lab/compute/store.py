@@ -35,8 +35,8 @@ class Installation:
 class ContentKeys:
     """Keys of calls of one function: source, installed versions, payload, and files that it reads.
 
-    Its source is its module, and all of these packages that this imports. `installation` is what another process must
-    run to get the same results. SettingsError if the function's module has no source file.
+    Its source is its module and all of these packages that this imports; SettingsError if the module has no source
+    file. `installation` is what another process must run to get the same results.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:

@@ -1,7 +1,7 @@
 """Work over pairs: spread over processes or a cluster, each result kept on its own under a content key.
 
 A run that was killed continues where it stopped. The bytes are the same whatever the number of workers and wherever
-they are: every task runs with one thread, and arguments and results pass through pickle, in this process as well.
+they are: tasks run with one thread, and arguments and results are pickled, in this process as well.
 """
 
 import contextlib
@@ -43,11 +43,10 @@ class TaskError(EpipriorError):
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One call of the function of `map_tasks`.
+    """One call of the function of `map_tasks`; its name, usually the pair id, is unique within the call.
 
-    The name is unique within the call, usually the pair id. The payload holds keyword arguments of the function: None,
-    numbers, strings, bytes, paths, dataclasses, numpy arrays, and lists, tuples and dicts of these. `files` are those
-    that the function reads; their contents enter the key.
+    The payload holds keyword arguments: None, numbers, strings, bytes, paths, dataclasses, numpy arrays, and lists,
+    tuples and dicts of these. `files` are those that the function reads; their contents enter the key.
     """
 
     name: str
@@ -76,35 +75,19 @@ def map_tasks(
 ) -> list[Any]:
     """Call ``function(**task.payload)`` for every task; return the results in the order of the tasks.
 
-    An interrupt ends workers on this machine at once; those of a cluster end their task. Stored results are used when
-    the run is started again.
+    The function is module-level and deterministic, and reads nothing but its arguments and the task's files. It runs in
+    `workers` processes, with 1 in this one, or on the workers of a dask `scheduler`, such as ``tcp://host:8786``, by
+    default that of ``EPIPRIOR_SCHEDULER``; these need the same installation, and the same files under the same paths.
+    `description` names the work in the progress bar and in messages. An interrupt ends workers on this machine at once;
+    those of a cluster end their task.
 
-    Parameters
-    ----------
-    function : callable
-        A module-level function; deterministic, reads nothing but its arguments and the task's files.
-    tasks : sequence of Task
-        May be empty. Names are unique.
-    workers : int
-        Processes, ``>= 1``; with 1 the tasks run in this process. Not used with a scheduler.
-    description : str
-        Name of this work in the progress bar and in messages.
-    store : Path, optional
-        Folder of results, made if absent; only this process writes there. It keeps one result per function and task
-        name, and uses it again only if its key is the same: function, source of its module and of all that this
-        imports, versions of the installed distributions, payload, contents of the files.
-    scheduler : str, optional
-        Address of a dask scheduler, such as ``tcp://host:8786``, whose workers get the tasks; by default that of
-        ``EPIPRIOR_SCHEDULER``. They need the same installation, and the same files under the same paths.
+    Only this process writes to the folder `store`, made if absent. It keeps one result per function and task name, used
+    again only if its key is the same: function, source of its module and of all that this imports, versions of the
+    installed distributions, payload, contents of the files. So a run that was interrupted goes on.
 
-    Raises
-    ------
-    TaskError
-        If a task fails: no more are started, those that were handed out end and are kept, and the error names the
-        first one, in the order of the tasks, that failed, whatever the number of workers. Also if a file of a task
-        cannot be read, or the workers are lost.
-    SettingsError
-        If `workers` is below one, a name is repeated, a payload has no stable key, or the scheduler cannot be used.
+    TaskError if a task fails: no more are started, those that were handed out end and are kept, and the error names the
+    first one that failed, in the order of the tasks. Also if a file of a task cannot be read, or the workers are lost.
+    SettingsError if `workers` is below 1, a name is repeated, a payload has no stable key, or no scheduler answers.
     """
     if workers < 1:
         raise SettingsError(f"workers = {workers}: expected 1 or more")
@@ -185,7 +168,7 @@ def _execute(
     """Yield results as they are ready.
 
     Tasks are handed out in order and never taken back. When one fails, all before it have therefore been handed out;
-    once these ended, the first failure in order is known, whatever the number of workers.
+    once these ended, the first failure in order is known.
     """
     folder = Path.cwd()
     waiting = iter(jobs)
@@ -242,9 +225,6 @@ def _run(call: bytes, label: str, folder: Path, installation: Installation | Non
 
 def _failure(label: str, error: Exception) -> TaskError:
     return error if isinstance(error, TaskError) else TaskError(f"{label} failed: {type(error).__name__}: {error}")
-
-
-# --- progress
 
 
 @contextlib.contextmanager

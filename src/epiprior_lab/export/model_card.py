@@ -1,7 +1,5 @@
 """The README of a model folder: what the model is, what it was trained on, how good it is, its limits."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Model folders: what `epiprior.ranking.models.load_model` reads, made from the results of training and checked."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import asdict
@@ -27,19 +25,8 @@ class ExportError(EpipriorError, RuntimeError):
 def export_model(training: Path, folder: Path, preset: str) -> None:
     """Make the model folder of a preset from what `training.tables.write_training` wrote, and check it.
 
-    Parameters
-    ----------
-    training : Path
-        Folder of the results of training.
-    folder : Path
-        Made if absent; its name is the model's. Two ONNX files, the manifest and the model card are replaced.
-    preset : str
-        Whose features the model takes.
-
-    Raises
-    ------
-    ExportError
-        If the library, loading the folder, gives other probabilities than the classifiers that were fitted.
+    The folder, made if absent, has the model's name; two ONNX files, the manifest and the model card are replaced.
+    ExportError if the library, loading it, gives other probabilities than the classifiers that were fitted.
     """
     summary = json.loads((training / "summary.json").read_text(encoding="utf-8"))
     manifest: dict[str, Any] = {
@@ -52,12 +39,8 @@ def export_model(training: Path, folder: Path, preset: str) -> None:
     }
     for target in TARGETS:
         item = summary[target]
-        manifest[target] = {
-            "family": item["family"],
-            "features": item["columns"],
-            "calibration": {"a": item["a"], "b": item["b"]},
-            "metrics": item["metrics"],
-        }
+        manifest[target] = {"family": item["family"], "features": item["columns"], "metrics": item["metrics"]}
+        manifest[target]["calibration"] = {"a": item["a"], "b": item["b"]}
     contents = {f"{target}.onnx": (training / f"{target}.onnx").read_bytes() for target in TARGETS}
     contents[CARD] = model_card(manifest).encode()
     manifest["files"] = {file: hashlib.sha256(content).hexdigest() for file, content in contents.items()}

@@ -1,7 +1,4 @@
-"""Features of a pair, found once for everything that is then made of them.
-
-All presets and baselines detect the same; they differ in how descriptors are normalised, and in what follows.
-"""
+"""Features of a pair, found once: presets and baselines detect the same, and differ in what follows."""
 
 from __future__ import annotations
 

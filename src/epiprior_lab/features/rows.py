@@ -1,8 +1,4 @@
-"""Training rows: what the library computes of a pair before any classifier, labelled by the ground truth.
-
-The rows of the first classifier (2kpmd) are stored as they are. Those of the second (kpmd) depend on the first:
-`match_rows` computes them from stored parts and from probabilities of a first classifier that never saw the scene.
-"""
+"""Training rows: what the library computes of a pair before any classifier, labelled by the ground truth."""
 
 from __future__ import annotations
 
@@ -30,20 +26,10 @@ _STORED = {"two_keypoints": TwoKeypointMatches, "table": StandardTable, "union":
 
 @dataclass(frozen=True, kw_only=True)
 class PairRows:
-    """Rows and labels of one pair under one roll hypothesis.
+    """Rows and labels of one pair under one roll hypothesis, with the features of one preset.
 
-    Parameters
-    ----------
-    pair_id, scene, preset : str
-        The pair, its scene, and the preset whose features they are.
-    roll_deg : float
-        The roll hypothesis, degrees.
-    two_keypoints : TwoKeypointMatches
-        Matches of 2keypoints with their descriptors 2kpmd.
-    table : StandardTable
-        X_L and X_B.
-    united, united_labels : UnitedMatches and ndarray, shape (M,), bool
-        X, X_L and X_B together, and which of them are right.
+    `two_keypoints` holds matches of 2keypoints with their descriptors 2kpmd; `table` X_L and X_B; `united` X, X_L and
+    X_B together, and `united_labels`, shape (M,), which of them are right.
     """
 
     pair_id: str
@@ -63,22 +49,7 @@ class PairRows:
 
 
 def extract_rows(pair: Pair, presets: Sequence[str], labels: LabelSettings | None = None) -> dict[str, list[PairRows]]:
-    """Run the library up to the first classifier and label the matches.
-
-    Parameters
-    ----------
-    pair : Pair
-        Pair with ground truth.
-    presets : sequence of str
-        What they have in common is done once.
-    labels : LabelSettings, optional
-        When a match counts as right.
-
-    Returns
-    -------
-    dict of str to list of PairRows
-        Per preset, one for every roll hypothesis.
-    """
+    """Run the library up to the first classifier and label the matches, for every preset and roll hypothesis."""
     found = detect_pair(pair)
     return {preset: _preset_rows(pair, found, preset, labels) for preset in presets}
 
@@ -107,10 +78,7 @@ def _preset_rows(pair: Pair, found: DetectedPair, preset: str, settings: LabelSe
 def _labels(
     pair: Pair, prepared: PreparedPair, frames: Sequence[MatchFrames], settings: LabelSettings | None
 ) -> list[BoolArray]:
-    """Label matches, all at once: depth maps are slow to read.
-
-    The frames are in working pixels, the ground truth in pixels of the images as given.
-    """
+    """Label matches, in working pixels, by the truth, in given ones; all at once: depth maps are slow to read."""
     points, scales = [], []
     for side, to_working in zip("12", prepared.to_working, strict=True):
         inverse = np.linalg.inv(to_working)
@@ -122,19 +90,10 @@ def _labels(
 
 
 def match_rows(rows: PairRows, probability: FloatArray) -> tuple[Float32Array, BoolArray]:
-    """Let the rough fundamental matrices vote, and return kpmd with labels.
+    """Let the rough fundamental matrices vote; return the preset's `match_columns`, (M, C) float32, and labels.
 
-    Parameters
-    ----------
-    rows : PairRows
-        Of one pair under one roll hypothesis.
-    probability : ndarray, shape (T,), float64
-        Of each 2keypoint match, from a classifier that was not trained on this scene.
-
-    Returns
-    -------
-    rows, labels : ndarray, shape (M, C), float32, and (M,), bool
-        The preset's `match_columns`, and which matches are right.
+    `probability`, shape (T,), is of each 2keypoint match, from a first classifier that was not trained on this scene:
+    kpmd depends on it, so that these rows cannot be stored as those of the first classifier are.
     """
     settings = find_preset(rows.preset)
     votes = hypothesis.cast_votes(rows.united.frames_of_x(), rows.two_keypoints, probability, settings)

@@ -33,28 +33,12 @@ class Platt:
 
 
 def fit_sigmoid(score: FloatArray, labels: BoolArray, start: tuple[float, float] | None = None) -> tuple[float, float]:
-    """Fit ``P(label) = sigmoid(a * score + b)`` by maximum likelihood.
+    """Fit ``P(label) = sigmoid(a * score + b)`` to finite scores by maximum likelihood; return a and b.
 
-    Parameters
-    ----------
-    score, labels : ndarray, shape (N,), float64 and bool
-        Finite scores, and which rows are right; both classes must be present.
-    start : tuple of float, optional
-        Slope and offset to start from, such as those of similar rows; saves iterations.
-
-    Raises
-    ------
-    CalibrationError
-        If there is one class only, or the best slope is not positive.
-
-    Notes
-    -----
-    Newton's method on Platt's softened targets ``(n1 + 1) / (n1 + 2)`` and ``1 / (n0 + 2)``, which keep the
-    slope finite where the scores separate the classes.
-
-    References
-    ----------
-    Lin, Lin, Weng, "A note on Platt's probabilistic outputs for support vector machines", 2007.
+    `start`, slope and offset of similar rows for example, saves iterations. Newton's method on Platt's softened targets
+    ``(n1 + 1) / (n1 + 2)`` and ``1 / (n0 + 2)``, which keep the slope finite where the scores separate the classes
+    (Lin, Lin, Weng, "A note on Platt's probabilistic outputs for support vector machines", 2007). CalibrationError if
+    there is one class only, or the best slope is not positive.
     """
     right = int(np.count_nonzero(labels))
     wrong = len(labels) - right
@@ -96,21 +80,12 @@ def fit_sigmoid(score: FloatArray, labels: BoolArray, start: tuple[float, float]
 
 
 def fit_platt(probability: FloatArray, labels: BoolArray) -> Platt:
-    """Fit Platt scaling to probabilities, in [0, 1], of rows that the classifier was not trained on.
-
-    Raises
-    ------
-    CalibrationError
-        See `fit_sigmoid`.
-    """
+    """Fit Platt scaling to probabilities of rows that the classifier was not trained on, as `fit_sigmoid` does."""
     return Platt(*fit_sigmoid(_logit(probability), labels))
 
 
 def cross_calibrate(probability: FloatArray, labels: BoolArray, fold: IntArray) -> FloatArray:
-    """Return out-of-fold probabilities, shape (N,), each calibrated on the rows of the other folds.
-
-    A fold keeps its probabilities where the rows of the others cannot be calibrated.
-    """
+    """Return out-of-fold probabilities, each calibrated on the other folds' rows, or as they are if those cannot be."""
     result = np.array(probability, np.float64)
     score, start = _logit(probability), None
     for number in np.unique(fold):

@@ -1,7 +1,7 @@
 """Comparison of the families for both classifiers of every preset, and the link between the two classifiers.
 
-The second classifier learns from votes, and votes come from the first. So that it meets in training what it
-will meet in use, the votes of a pair come from a first classifier that never saw the pair's scene.
+The second classifier learns from the votes of the first. As in later use, the votes of a pair come from a first
+classifier that was not trained on the pair's scene.
 """
 
 from __future__ import annotations
@@ -33,17 +33,7 @@ PARITY_ROWS = 2000
 
 @dataclass(frozen=True, kw_only=True)
 class Refit:
-    """The exported family fitted to all rows.
-
-    Parameters
-    ----------
-    onnx : bytes
-        Its graph.
-    importances : ndarray, shape (C,), float64, or None
-        Share of each column in the decisions.
-    parity_rows, parity_probability : ndarray, shape (M, C), float32, and (M,), float64
-        Some of the rows, and the probabilities that the classifier itself gives them, before export.
-    """
+    """The exported family fitted to all rows; before export it gives `parity_rows` the `parity_probability`."""
 
     onnx: bytes
     importances: FloatArray | None
@@ -53,20 +43,10 @@ class Refit:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """All families for one target of one preset.
+    """All families for one target of one preset, which ships the family `exported`.
 
-    Parameters
-    ----------
-    preset, exported : str
-        Names of the preset and of the family that it ships.
-    data : TargetRows
-        The rows.
-    grouped : mapping of str to CrossValidation
-        Folds by scene, by family.
-    ungrouped : CrossValidation
-        Folds by row, of the exported family: shows how much leakage flatters.
-    refit : Refit
-        The classifier that is exported.
+    `grouped` holds a cross-validation with folds by scene for each family; `ungrouped` that of the exported family with
+    folds by row, which shows how much leakage flatters; `refit` the classifier that is exported.
     """
 
     preset: str
@@ -85,26 +65,10 @@ class Comparison:
 def train(
     folders: Mapping[str, Path], params: TrainParams, *, workers: int, store: Path
 ) -> dict[str, tuple[Comparison, Comparison]]:
-    """Train both classifiers of every preset.
+    """Train both classifiers of every preset; return the comparisons for ``two_keypoint`` and ``match`` by preset.
 
-    Parameters
-    ----------
-    folders : mapping of str to Path
-        By preset, the rows of the training pairs as the stage `features` writes them.
-    params : TrainParams
-        Seeds, folds, families and caps.
-    workers, store : int and Path
-        As for `map_tasks`: processes, and the folder from which a killed run resumes.
-
-    Returns
-    -------
-    dict of str to tuple of Comparison
-        By preset, for ``two_keypoint`` and ``match``. The same whatever the number of workers, times aside.
-
-    Raises
-    ------
-    SettingsError
-        If a folder has no rows, or a family is unknown.
+    `folders` holds, by preset, the rows of the training pairs as the stage `features` writes them; `workers` and
+    `store` are as for `map_tasks`. SettingsError if a folder has no rows, or a family is unknown.
     """
     unknown = [family for family in params.families if family not in FAMILIES]
     if unknown:

@@ -23,20 +23,12 @@ from epiprior_lab.training.samples import TargetRows
 class CrossValidation:
     """Out-of-fold probabilities of one family, and their measures.
 
-    Parameters
-    ----------
-    fold, probability : ndarray, shape (N,), int64 and float64
-        Fold of each row, and the probability by the classifier that was not trained on that fold.
-    calibrated : ndarray, shape (N,), float64, or None
-        The same after Platt scaling fitted on the rows of the other folds. None for folds of rows.
-    metrics, calibrated_metrics : mapping
-        Each of `METRICS` over all rows, NaN where undefined; of `calibrated`, empty without.
-    fold_metrics : tuple of mapping
-        The same over the rows of each fold. A fold of rows holds a part of every pair: no ranking metrics there.
-    classifiers : tuple of bytes
-        The pickled classifier of each fold, if they were kept.
-    seconds_per_10000_rows : tuple of float
-        Time to predict, per fold. Never part of what must be the same in every run.
+    `fold` and `probability`, shape (N,): the fold of each row, and the probability by the classifier that was not
+    trained on that fold; `calibrated` the same after Platt scaling fitted on the rows of the other folds, None for
+    folds of rows. `metrics` and `calibrated_metrics` hold each of `METRICS` over all rows, NaN where undefined; the
+    latter is empty without `calibrated`. `fold_metrics` are over the rows of each fold, without ranking metrics for
+    folds of rows, which hold a part of every pair. `classifiers` are pickled, one per fold, if they were kept.
+    `seconds_per_10000_rows`, the time to predict per fold, differs from run to run.
     """
 
     fold: IntArray
@@ -59,18 +51,7 @@ class CrossValidation:
 
 
 def folds_by_scene(labels: BoolArray, scene: NDArray[np.str_], folds: int, seed: int) -> IntArray:
-    """Deal scenes out to folds so that each fold has about the same share of right rows.
-
-    Returns
-    -------
-    ndarray, shape (N,), int64
-        Fold of each row, in ``[0, folds)``; no scene is in two.
-
-    Raises
-    ------
-    TrainingError
-        If there are fewer scenes than folds.
-    """
+    """Deal scenes out to folds with about the same share of right rows; TrainingError if there are more folds."""
     names, code = np.unique(scene, return_inverse=True)
     if len(names) < folds:
         raise TrainingError(f"{len(names)} scenes for {folds} folds: every fold needs a scene")
@@ -111,20 +92,8 @@ def cross_validate(
 ) -> CrossValidation:
     """Fit a family without each fold in turn, and measure its probabilities of that fold.
 
-    Parameters
-    ----------
-    family : str
-        Name in `families.FAMILIES`.
-    data, fold : TargetRows and ndarray, shape (N,), int64
-        Rows, and the fold of each.
-    by_scene : bool
-        Whether all rows of a pair are in one fold.
-    seed : int
-        Of samples and fits.
-    max_rows : int, optional
-        Train on so many rows at most. All rows are predicted and measured.
-    keep : bool
-        Whether the folds' classifiers are returned.
+    `fold`, shape (N,), is the fold of each row; `by_scene` says that all rows of a pair are in one. Each fit takes at
+    most `max_rows`; all rows are predicted and measured. `keep` returns the folds' classifiers.
     """
     labels, slices = data.labels, data.slices
     probability = np.empty(len(labels))

@@ -1,7 +1,4 @@
-"""The families of classifiers that are compared: decision tree, random forest, SVM, LightGBM.
-
-A family is a name and a function that fits a `Fitted` to rows, float32 (N, C), and labels, bool (N,), in one thread.
-"""
+"""The families of classifiers that are compared: each is a function that fits a `Fitted` in one thread."""
 
 from __future__ import annotations
 
@@ -100,16 +97,9 @@ class Boosted:
 class SupportVectors:
     """An SVM with Gaussian kernel on standardised columns, and Platt's sigmoid of its decision value.
 
-    Parameters
-    ----------
-    mean, scale : ndarray, shape (C,), float64
-        Standardisation: ``x = (row - mean) / scale``.
-    vectors, weights : ndarray, shape (S, C) and (S,), float64
-        Standardised support vectors ``v_s`` and their weights.
-    intercept, gamma : float
-        Of the decision value ``sum_s weights_s exp(-gamma |x - v_s|^2) + intercept``.
-    a, b : float
-        The sigmoid, fitted on rows that the SVM was not trained on.
+    With ``x = (row - mean) / scale`` and the standardised support vectors v_s, shape (S, C), the decision value is
+    ``sum_s weights_s exp(-gamma |x - v_s|^2) + intercept``. The sigmoid's a and b are fitted on rows that the SVM was
+    not trained on.
     """
 
     mean: FloatArray
@@ -149,8 +139,8 @@ class SupportVectors:
 def fit_tree(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
     """Fit the paper's classifier (section 4.4), a decision tree like C4.5.
 
-    Like C4.5 it splits by information and smooths its leaves after Laplace, ``(n1 + 1) / (n + 2)``. Unlike
-    C4.5, which prunes by a pessimistic estimate of the error, it prunes by cost and complexity.
+    Like C4.5 it splits by information and smooths its leaves after Laplace, ``(n1 + 1) / (n + 2)``. Unlike C4.5, which
+    prunes by a pessimistic estimate of the error, it prunes by cost and complexity.
     """
     tree = DecisionTreeClassifier(
         criterion="entropy", min_samples_leaf=max(20, len(rows) // 2000), ccp_alpha=2e-5, random_state=seed
@@ -180,8 +170,8 @@ def fit_lightgbm(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
 def fit_svm(rows: Float32Array, labels: BoolArray, seed: int) -> Fitted:
     """Fit an SVM with Gaussian kernel on three quarters of the rows, and Platt's sigmoid on the rest.
 
-    Training takes time cubic in the rows, hence their low cap (``max_svm_rows``). ``SVC(probability=True)`` is not
-    used: scikit-learn deprecates it, and it refits the SVM five times.
+    Training takes time cubic in the rows, hence ``max_svm_rows``. ``SVC(probability=True)``, which scikit-learn
+    deprecates, would refit the SVM five times.
     """
     held = np.zeros(len(rows), bool)
     held[sample_by_class(labels, max(2, len(rows) // 4), seed)] = True
@@ -206,26 +196,7 @@ FAMILIES: dict[str, Callable[[Float32Array, BoolArray, int], Fitted]] = {
 
 
 def fit(family: str, rows: Float32Array, labels: BoolArray, *, seed: int, max_rows: int | None = None) -> Fitted:
-    """Fit a classifier of a family.
-
-    Parameters
-    ----------
-    family : str
-        Name in `FAMILIES`.
-    rows, labels : ndarray, shape (N, C), float32, and (N,), bool
-        Finite rows, and which are right; both classes must be present.
-    seed : int
-        Of the sample and of the family's own draws.
-    max_rows : int, optional
-        Train on so many rows at most, sampled by `sample_by_class`.
-
-    Raises
-    ------
-    SettingsError
-        If the family is unknown.
-    TrainingError
-        If the rows cannot be trained on.
-    """
+    """Fit a family to at most `max_rows` rows; SettingsError if unknown, TrainingError if rows cannot be trained on."""
     if family not in FAMILIES:
         raise SettingsError(f"family {family!r}: expected one of {', '.join(FAMILIES)}")
     if rows.dtype != np.float32 or rows.ndim != 2 or labels.shape != (len(rows),):
@@ -256,10 +227,7 @@ def sample_by_class(labels: BoolArray, size: int, seed: int) -> IntArray:
 
 
 def _float32_thresholds(booster: lightgbm.Booster) -> lightgbm.Booster:
-    """Round every threshold down to float32, which ONNX then keeps exactly.
-
-    LightGBM compares in double; for a float32 value x, ``x <= t`` and ``x <= float32 below t`` are the same.
-    """
+    """Round every threshold down to float32, which ONNX keeps exactly; no comparison with a float32 value changes."""
 
     def rounded(match: re.Match[str]) -> str:
         thresholds = np.array(match[2].split(), np.float64)

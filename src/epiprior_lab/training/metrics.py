@@ -19,22 +19,11 @@ _CLIP = 1e-7
 
 
 def pair_metrics(probability: FloatArray, labels: BoolArray, pairs: Sequence[slice], share: FloatArray) -> FloatArray:
-    """Return `RANKING_METRICS` of each pair.
+    """Return `RANKING_METRICS` of each pair, shape (P, 2).
 
-    Parameters
-    ----------
-    probability, labels : ndarray, shape (N,), float64 and bool
-        What rows are ordered by, within their pair, and which are right.
-    pairs : sequence of slice, length P
-        Rows of each pair.
-    share : ndarray, shape (P,), float64
-        Share of the pair's rows that are here, a random sample, in (0, 1]. The top 100 of all rows are estimated
-        by the top 100 times the share of the sample.
-
-    Returns
-    -------
-    ndarray, shape (P, 2), float64
-        NaN for pairs without rows, and for the average precision of pairs without a right row.
+    `share`, shape (P,), in (0, 1], says which share of the pair's rows is here, a random sample: the top 100 of all
+    rows are estimated by the top 100 times that share. NaN for pairs without rows, and for the average precision of
+    pairs without a right row.
     """
     values = np.full((len(pairs), 2), np.nan)
     with config_context(assume_finite=True, skip_parameter_validation=True):
@@ -47,7 +36,7 @@ def pair_metrics(probability: FloatArray, labels: BoolArray, pairs: Sequence[sli
 
 
 def mean_over_pairs(values: FloatArray) -> dict[str, float]:
-    """Return the means of `pair_metrics` over the pairs that have them, NaN if there are none: pairs count alike."""
+    """Return the means of `pair_metrics` over the pairs that have them: pairs count alike; NaN if there are none."""
     known = [column[np.isfinite(column)] for column in values.T]
     return {
         name: float(column.mean()) if len(column) else float("nan")
@@ -56,10 +45,10 @@ def mean_over_pairs(values: FloatArray) -> dict[str, float]:
 
 
 def precision_of_top(probability: FloatArray, labels: BoolArray, top: int = TOP) -> float:
-    """Return the share of right rows among the `top` most probable; NaN for no rows.
+    """Return the share of right rows among the `top` most probable, or among all if fewer; NaN for no rows.
 
-    Fewer rows than `top` all count. Rows that tie for the last places count in part: the expected precision
-    if ties are broken at random, so that a tree with few leaves gains nothing from the order of the rows.
+    Rows that tie for the last places count in part, as expected if ties are broken at random: a tree with few leaves
+    gains nothing from the order of the rows.
     """
     top = min(top, len(labels))
     if not top:
@@ -71,11 +60,7 @@ def precision_of_top(probability: FloatArray, labels: BoolArray, top: int = TOP)
 
 
 def row_metrics(probability: FloatArray, labels: BoolArray) -> dict[str, float]:
-    """Return `ROW_METRICS`: accuracy and precision at 0.5 as in the paper, and measures of the probabilities.
-
-    For the log loss, probabilities are clipped to [1e-7, 1 - 1e-7]. The precision is NaN if none is above 0.5; all
-    measures are for no rows.
-    """
+    """Return `ROW_METRICS`, NaN for no rows: accuracy, precision at 0.5 as in the paper; measures of probabilities."""
     if not len(labels):
         return dict.fromkeys(ROW_METRICS, float("nan"))
     said = probability > 0.5

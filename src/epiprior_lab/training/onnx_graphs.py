@@ -1,7 +1,4 @@
-"""Fitted classifiers of any family as ONNX graphs.
-
-Every graph is ``rows`` (N, C) float32 in, ``probability`` (N,) float32 out; the same fit gives the same bytes.
-"""
+"""Fitted classifiers as ONNX graphs, the same bytes in every run: ``rows`` (N, C), ``probability`` (N,), float32."""
 
 from __future__ import annotations
 
@@ -18,15 +15,7 @@ _OPSET, _ML_OPSET, _IR_VERSION = 17, 3, 9
 
 @functools.singledispatch
 def to_onnx(fitted: Fitted) -> bytes:
-    """Return a fitted classifier as a serialised graph.
-
-    Its probabilities equal ``fitted.probability`` to 1e-6 on any finite float32 rows.
-
-    Raises
-    ------
-    TypeError
-        If the class is not one of `families`.
-    """
+    """Return a serialised graph whose probabilities equal ``fitted.probability`` to 1e-6 on any finite float32 rows."""
     raise TypeError(f"no ONNX export for {type(fitted).__name__}")
 
 
@@ -99,11 +88,7 @@ def _(fitted: SupportVectors) -> bytes:
 
 
 def _tree_graph(converted: onnx.ModelProto, width: int, *, logistic: bool) -> bytes:
-    """Rebuild a converted classifier as the sum of its trees.
-
-    What converters put around the trees is dropped: labels, and the marks of where missing values go, which
-    slow the runtime down and mean nothing for finite rows.
-    """
+    """Rebuild a classifier as the sum of its trees, without marks of missing values, which slow the runtime down."""
     (node,) = [node for node in converted.graph.node if node.op_type == "TreeEnsembleClassifier"]
     found = {item.name: helper.get_attribute_value(item) for item in node.attribute}
     # Converters of scikit-learn give a weight to both classes, that of LightGBM gives the logit as class 0.

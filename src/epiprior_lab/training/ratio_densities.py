@@ -1,10 +1,4 @@
-"""Densities of the distance ratio of right and wrong nearest neighbours: the constants of the ratio prior.
-
-``python -m epiprior_lab.training.ratio_densities`` reads the rendered training scenes, and no others, and prints the
-two tables of `epiprior.estimators.ratio_prior`.
-"""
-
-from __future__ import annotations
+"""Learn both tables of the ratio prior from the rendered training scenes; run as a module, it prints them."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -24,17 +18,16 @@ def learn_densities(pairs: Iterable[Pair]) -> tuple[FloatArray, FloatArray]:
     for pair in pairs:
         matches = standard_matches(pair.image1, pair.image2, max_distance_ratio=1.0)
         labels = label_matches(pair, matches.x1, matches.x2, matches.scale1, matches.scale2)
-        for right, tables in densities.items():
-            if (labels == right).any():
-                tables.append(density(matches.distance_ratio[labels == right]))
+        for right in set(labels.tolist()):
+            densities[right].append(density(matches.distance_ratio[labels == right]))
     return np.mean(densities[True], axis=0), np.mean(densities[False], axis=0)
 
 
 def main() -> None:
     """Print both tables."""
     folders = sorted(folder for folder in Path("data/scenes/train").iterdir() if folder.is_dir())
-    pairs = (pair for folder in folders for pair in read_pair_set(folder).pairs)
-    for name, table in zip(("DENSITY_IN", "DENSITY_OUT"), learn_densities(pairs), strict=True):
+    tables = learn_densities(pair for folder in folders for pair in read_pair_set(folder).pairs)
+    for name, table in zip(("DENSITY_IN", "DENSITY_OUT"), tables, strict=True):
         print(name, np.array2string(table, precision=4, separator=", ", floatmode="fixed"))  # noqa: T201
 
 

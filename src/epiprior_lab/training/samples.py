@@ -15,17 +15,7 @@ from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Rows of one pair under one roll hypothesis, drawn at random from `size` rows.
-
-    Parameters
-    ----------
-    scene, pair : str
-        Names; `pair` names the roll hypothesis as well.
-    rows, labels : ndarray, shape (M, C), float32, and (M,), bool
-        Descriptors, and which are right.
-    size : int
-        Rows before sampling.
-    """
+    """Labelled rows, shape (M, C), of a pair under one roll hypothesis (`pair` names both), drawn from `size` rows."""
 
     scene: str
     pair: str
@@ -45,20 +35,11 @@ class Sample:
 
 @dataclass(frozen=True, kw_only=True)
 class TargetRows:
-    """Rows of all pairs for one target, those of a pair one after the other.
+    """Rows of all pairs for one target, ``two_keypoint`` or ``match``; those of a pair one after the other.
 
-    Parameters
-    ----------
-    target : str
-        ``two_keypoint`` or ``match``.
-    columns : tuple of str
-        Names of the C columns.
-    rows, labels : ndarray, shape (N, C), float32, and (N,), bool
-        Descriptors, and which are right.
-    scenes, pairs : ndarray, shape (P,), str
-        Scene and name of each pair (under one roll hypothesis), within which rows are ranked.
-    lengths, share : ndarray, shape (P,), int64 and float64
-        Number of rows of each pair, and which share of its rows that is.
+    `rows`, shape (N, C), and `labels`, shape (N,), are of all pairs. For each pair under one roll hypothesis, within
+    which rows are ranked, `scenes`, `pairs`, `lengths` and `share`, shape (P,), hold its scene, name, number of rows,
+    and which share of its rows that is.
     """
 
     target: str

@@ -1,15 +1,12 @@
 """What MLflow is told of a comparison: a run per family, and the model of the exported one."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from sklearn.metrics import precision_recall_curve
 
-from epiprior.types import FloatArray
 from epiprior_lab.measures import calibration_bins
 from epiprior_lab.tracking import Run
 from epiprior_lab.training.comparison import Comparison
@@ -33,6 +30,8 @@ def _run(comparison: Comparison, family: str, parameters: Mapping[str, Any]) -> 
     metrics = {**grouped.metrics, "seconds_per_10000_rows": sum(seconds) / len(seconds)}
     metrics |= {f"{key}.deviation": value for key, value in grouped.deviations().items()}
     metrics |= {f"calibrated.{key}": value for key, value in grouped.calibrated_metrics.items()}
+    times = ({"seconds_per_10000_rows": time} for time in seconds)
+    folds = [{**fold, **time} for fold, time in zip(grouped.fold_metrics, times, strict=True)]
     curves = {"grouped by scene": grouped.probability}
     if exported:
         metrics |= {f"ungrouped.{key}": value for key, value in comparison.ungrouped.metrics.items()}
@@ -50,21 +49,18 @@ def _run(comparison: Comparison, family: str, parameters: Mapping[str, Any]) -> 
     axes.plot(*calibration_bins(grouped.probability, data.labels).curve[:, :2].T, marker="o")
     figures = {"precision_recall.png": precision_recall, "reliability.png": reliability}
     if exported and comparison.refit.importances is not None:
-        figures["importances.png"] = _importances(data.columns, comparison.refit.importances)
+        importances, axes = _figure("importance", "")
+        importances.set_figheight(0.3 * len(data.columns) + 1)
+        order = np.argsort(comparison.refit.importances)
+        axes.barh([data.columns[i] for i in order], comparison.refit.importances[order])
+        figures["importances.png"] = importances
     return Run(
         experiment=data.target,
         name=f"{comparison.preset}-{family}",
-        tags={
-            "preset": comparison.preset,
-            "target": data.target,
-            "family": family,
-            "exported": str(exported).lower(),
-        },
+        tags={"preset": comparison.preset, "target": data.target, "family": family, "exported": str(exported).lower()},
         parameters=parameters,
         metrics=metrics,
-        folds=[
-            {**fold, "seconds_per_10000_rows": time} for fold, time in zip(grouped.fold_metrics, seconds, strict=True)
-        ],
+        folds=folds,
         figures=figures,
         onnx=comparison.refit.onnx if exported else None,
         rows=data.rows[:_EXAMPLE_ROWS],
@@ -74,11 +70,3 @@ def _run(comparison: Comparison, family: str, parameters: Mapping[str, Any]) -> 
 def _figure(x: str, y: str) -> tuple[Figure, Any]:
     figure = Figure(figsize=(5, 4), layout="constrained")
     return figure, figure.add_subplot(xlabel=x, ylabel=y)
-
-
-def _importances(columns: Sequence[str], importances: FloatArray) -> Figure:
-    figure, axes = _figure("importance", "")
-    figure.set_figheight(0.3 * len(columns) + 1)
-    order = np.argsort(importances)
-    axes.barh([columns[i] for i in order], importances[order])
-    return figure
