@@ -212,10 +212,7 @@ def read_depth(path: Path) -> Float32Array:
 
 
 def image_size(path: Path, *, turn: bool = True) -> tuple[int, int]:
-    """Return width and height of an image from its header, turned as its EXIF data say unless `turn` is False.
-
-    DatasetError if the file cannot be read or is no image.
-    """
+    """Return width and height by the header, turned as EXIF says unless `turn` is False; DatasetError if damaged."""
     try:
         with PillowImage.open(path) as image:
             width, height = image.size

@@ -31,10 +31,7 @@ def scatter(
     before: tuple[float, float],
     view: int,
 ) -> None:
-    """Add `count` things of random kinds, at random positions in a rectangle before the subject, for one view or both.
-
-    `across` and `before` are bounds in metres, along the subject and away from it.
-    """
+    """Add `count` random things for one view or both within `across` (along the subject) and `before` it, metres."""
     for _ in range(count):
         position = float(rng.uniform(*across)), 0.0, -float(rng.uniform(*before))
         placers[int(rng.integers(len(placers)))](world, rng, position, view)

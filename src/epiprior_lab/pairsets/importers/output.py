@@ -52,18 +52,10 @@ def as_text(name: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Photograph:
-    """An image of a published set.
+    """An image of a published set; `name` is the stem of its file in the new set, unique there.
 
-    Parameters
-    ----------
-    name : str
-        Stem of its file in the new set; unique there.
-    path : Path
-        Where it comes from.
-    camera : Camera, optional
-        Of the pixels before they are made smaller.
-    develop : callable, optional
-        Returns the pixels where they are not those of the file: undistorted, or part of a larger file.
+    `camera` is that of the pixels before they are made smaller; `develop` returns the pixels where they are not those
+    of the file `path`: undistorted, or part of a larger file.
     """
 
     name: str
@@ -80,17 +72,8 @@ class FoundPair:
     """Two photographs and what is known of them: cameras, a homography, an F, or only control points.
 
     Coordinates are pixels of the photographs before they are made smaller, the centre of the top-left pixel at (0, 0).
-
-    Parameters
-    ----------
-    pair_id, scene, difficulty : str
-        As in ``pairs.csv``.
-    image1, image2 : Photograph
-        Both with cameras or both without.
-    points : tuple of ndarray, optional
-        Control points, two arrays of shape (N, 2); a homography without any gets a grid of them.
-    homography, fundamental : ndarray, shape (3, 3), optional
-        ``x2 ~ H x1``; ``x2' F x1 = 0``. At most one of them, and not with cameras.
+    Both images have cameras, or neither, and at most one of `homography` and `fundamental` is given. `points` are two
+    arrays (N, 2); a homography without any gets a grid of them.
     """
 
     pair_id: str
@@ -145,23 +128,10 @@ def check_photographs(photographs: Iterable[Photograph]) -> None:
 def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAULT_MAX_SIDE) -> PairSet:
     """Write pairs as a new pair set, read it back and so check it.
 
-    Parameters
-    ----------
-    out : Path
-        Folder of the set; must not exist.
-    pairs : sequence of FoundPair
-        At least one; ids are unique.
-    max_side : int
-        Larger images are made smaller, and everything with them, pixels. Smaller ones are copied as they are.
-
-    Raises
-    ------
-    OutputError
-        If `out` exists or cannot be written.
-    DatasetError, ImageError
-        If there is no pair, a name cannot be that of a file, two photographs have one name or one cannot be read, all
-        before anything is written; or if the set does not pass the check of `read_pair_set`. What was written until
-        then stays in ``<out>.partial``.
+    Images larger than `max_side` pixels are made smaller, and everything with them; others are copied as they are.
+    OutputError if `out` exists or cannot be written. DatasetError or ImageError if there is no pair, a name cannot be
+    that of a file, two photographs have one name or one cannot be read, all before anything is written; or if the set
+    does not pass the check of `read_pair_set`. What was written until then stays in ``<out>.partial``.
     """
     check_out(out)
     if not pairs:

@@ -33,14 +33,8 @@ _MOST_POINTS = 200
 class PairChoice:
     """Which pairs of photographs are taken; SettingsError if a value is out of its range.
 
-    Parameters
-    ----------
-    min_angle_deg, max_angle_deg : float
-        Range of the median angle between the rays to common points, degrees, in [0, 180].
-    min_shared : int
-        Common points that a pair has at least, >= 8.
-    max_pairs : int
-        Most pairs of a scene, >= 1; where there are more, they are taken evenly over the angles.
+    The median angle between the rays to common points is within the bounds, degrees in [0, 180]; there are at least
+    `min_shared` (>= 8) common points. Of more than `max_pairs` (>= 1) per scene, some are taken evenly over the angles.
     """
 
     min_angle_deg: float = 10.0
