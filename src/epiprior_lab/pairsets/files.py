@@ -80,7 +80,6 @@ def number(text: str) -> float:
 
 
 def _numbers(path: Path, line: int, row: dict[str, str], columns: tuple[str, ...]) -> list[float]:
-    """Return the finite numbers of some columns of a row."""
     values = {name: number(row[name]) for name in columns}
     for name, value in values.items():
         if np.isnan(value):

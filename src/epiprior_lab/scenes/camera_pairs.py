@@ -68,7 +68,6 @@ def draw_camera_pair(
 def _draw(
     rng: np.random.Generator, subject: Subject, settings: FamilySettings, *, width: int, height: int
 ) -> tuple[Camera, Camera]:
-    """Draw two cameras, either of them the nearer one."""
     angle = rng.uniform(*settings.angle_deg)
     limit = max(0.0, subject.obliquity_deg - angle / 2)
     middle = rng.uniform(-limit, limit)

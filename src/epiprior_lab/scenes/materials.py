@@ -127,7 +127,6 @@ def wall(rng: np.random.Generator, height: int, width: int, style: WallStyle, *,
 
 
 def _add_cracks(rng: np.random.Generator, relief: Float32Array, *, count: int) -> None:
-    """Draw dark random walks into a relief."""
     height, width = relief.shape
     for _ in range(count):
         steps = int(rng.integers(10, 60))

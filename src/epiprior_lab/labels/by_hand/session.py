@@ -140,10 +140,8 @@ class LabelSession:
             with replacing(self._target) as partial:
                 write_control_points(partial, np.ascontiguousarray(x[:, :2]), np.ascontiguousarray(x[:, 2:]))
             self._anew = False
-            record = {
-                f"image{k}": image.described() | {"sha256": image.sha256}
-                for k, image in enumerate(self.images, start=1)
-            }
+            described = [image.described() | {"sha256": image.sha256} for image in self.images]
+            record = {"image1": described[0], "image2": described[1]}
             with replacing(self._record) as partial:
                 partial.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
             return self._revision()

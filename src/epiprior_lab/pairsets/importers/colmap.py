@@ -62,7 +62,6 @@ def _images_near(folder: Path) -> Path:
 
 
 def _read(model: Path) -> Any:
-    """Return the reconstruction of a model."""
     import pycolmap
 
     _check_model(model)

@@ -142,7 +142,7 @@ def pairs(
 def check_set(folder: Annotated[Path, typer.Argument(help="Folder of a pair set.", show_default=False)]) -> None:
     """Read all of a pair set: tables, images, control points, depth maps, and whether they agree."""
     from epiprior_lab.pairsets import check_pair_set, read_pair_set
-    from epiprior_lab.pairsets.importers.progress import progress_bar
+    from epiprior_lab.pairsets.importers.output import progress_bar
 
     with progress_bar("checking", len(read_pair_set(folder).pairs)) as advance:
         pair_set = check_pair_set(folder, on_pair=advance)

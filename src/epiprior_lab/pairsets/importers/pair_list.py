@@ -58,7 +58,6 @@ def find_pairs(
 def _listed(
     row: dict[str, str], where: str, folders: tuple[Path, Path], origin: float, known: KnownSet | None, scene: str
 ) -> FoundPair:
-    """Return the pair of a row of the table."""
     images, truths = folders
     photographs = []
     for column in ("image1", "image2"):
@@ -125,16 +124,8 @@ def find_usac(folder: Path, *, points: Path | None = None, fit: bool = False) ->
                 f" --out {by_hand}` and name their folder with --points, or let --fit derive them"
             )
         image1, image2 = (Photograph(name=f"{pair_id}_{k}", path=image) for k, image in enumerate(images, 1))
-        pairs.append(
-            FoundPair(
-                pair_id=pair_id,
-                scene=pair_id,
-                image1=image1,
-                image2=image2,
-                difficulty=f"{difficulty}; {len(rows)} matches",
-                points=known,
-            )
-        )
+        names = {"pair_id": pair_id, "scene": pair_id, "difficulty": f"{difficulty}; {len(rows)} matches"}
+        pairs.append(FoundPair(**names, image1=image1, image2=image2, points=known))
     if not pairs:
         raise DatasetError(f"{folder}: no {_USAC_MATCHES} in it or below")
     return pairs
