@@ -37,9 +37,6 @@ class DatasetError(EpipriorError, ValueError):
     """A pair set is missing, incomplete or damaged; the message names the file and, in a table, the line."""
 
 
-# --- text
-
-
 def read_text(path: Path) -> str:
     """Return the content of a UTF-8 file, line ends as they are; DatasetError if it cannot be read."""
     try:
@@ -110,9 +107,6 @@ def read_numbers(path: Path, *, header: bool = False) -> list[tuple[int, list[fl
     return rows
 
 
-# --- tables and matrices of a pair set
-
-
 def read_cameras(path: Path) -> dict[str, Camera]:
     """Return the cameras of a ``cameras.csv`` by image; DatasetError if one is impossible or there twice."""
     cameras: dict[str, Camera] = {}
@@ -168,9 +162,6 @@ def write_matrix(path: Path, matrix: FloatArray) -> None:
     path.write_text("".join(" ".join(repr(float(value)) for value in row) + "\n" for row in matrix), encoding="utf-8")
 
 
-# --- depth maps
-
-
 def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Return an ``.npz`` file that `numpy.load` reads; the same arrays in the same order give the same bytes."""
     archive = io.BytesIO()
@@ -205,9 +196,6 @@ def read_depth(path: Path) -> Float32Array:
     if depth.ndim != 2:
         raise DatasetError(f"{path}: depth has shape {depth.shape}, expected (height, width)")
     return np.where(depth > 0, depth, np.float32(np.inf))
-
-
-# --- images
 
 
 def image_size(path: Path, *, turn: bool = True) -> tuple[int, int]:

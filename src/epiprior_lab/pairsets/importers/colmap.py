@@ -75,9 +75,6 @@ def _read(model: Path) -> Any:
     return reconstruction
 
 
-# --- the files of a model
-
-
 def _check_model(folder: Path) -> None:
     """Walk through the files of a model, binary if they are there, else text.
 

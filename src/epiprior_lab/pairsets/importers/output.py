@@ -179,9 +179,8 @@ def _write(root: Path, pairs: Sequence[FoundPair], max_side: int) -> None:
                 new = written[photograph.name] = _write_image(root, photograph, max_side)
                 if photograph.camera is not None:
                     K, (width, height) = new.to_new @ photograph.camera.K, new.size
-                    camera_rows.append(
-                        camera_row(new.file, replace(photograph.camera, K=K, width=width, height=height))
-                    )
+                    scaled = replace(photograph.camera, K=K, width=width, height=height)
+                    camera_rows.append(camera_row(new.file, scaled))
             image1, image2 = written[pair.image1.name], written[pair.image2.name]
             _write_truth(root, pair, image1, image2)
             pair_rows.append([pair.pair_id, image1.file, image2.file, pair.gt, pair.scene, pair.difficulty])

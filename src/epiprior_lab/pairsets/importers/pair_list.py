@@ -123,9 +123,9 @@ def find_usac(folder: Path, *, points: Path | None = None, fit: bool = False) ->
                 f"{path}: its matches are no ground truth. Mark points with `epiprior-lab label {images[0]} {images[1]}"
                 f" --out {by_hand}` and name their folder with --points, or let --fit derive them"
             )
-        image1, image2 = (Photograph(name=f"{pair_id}_{k}", path=image) for k, image in enumerate(images, 1))
-        names = {"pair_id": pair_id, "scene": pair_id, "difficulty": f"{difficulty}; {len(rows)} matches"}
-        pairs.append(FoundPair(**names, image1=image1, image2=image2, points=known))
+        one, two = (Photograph(name=f"{pair_id}_{k}", path=image) for k, image in enumerate(images, 1))
+        text = f"{difficulty}; {len(rows)} matches"
+        pairs.append(FoundPair(pair_id=pair_id, scene=pair_id, image1=one, image2=two, difficulty=text, points=known))
     if not pairs:
         raise DatasetError(f"{folder}: no {_USAC_MATCHES} in it or below")
     return pairs

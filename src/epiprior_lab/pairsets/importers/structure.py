@@ -154,8 +154,9 @@ def choose_pairs(views: list[View], scene: str, choice: PairChoice) -> list[Foun
         if choice.min_angle_deg <= angle <= choice.max_angle_deg and len(points[0]) >= choice.min_shared:
             text = f"angle={angle:.1f}deg;covis_points={len(shared)};overlap={len(shared) / fewest:.2f}"
             one, two = view1.photograph, view2.photograph
-            names = {"pair_id": f"{one.name}_{two.name}", "scene": scene, "difficulty": text}
-            found.append((angle, FoundPair(**names, image1=one, image2=two, points=points)))
+            name = f"{one.name}_{two.name}"
+            pair = FoundPair(pair_id=name, scene=scene, image1=one, image2=two, difficulty=text, points=points)
+            found.append((angle, pair))
     if len(found) > choice.max_pairs:
         by_angle = np.argsort([angle for angle, _ in found], kind="stable")
         kept = by_angle[np.linspace(0, len(found) - 1, choice.max_pairs).round().astype(int)]
