@@ -29,15 +29,10 @@ _RIM_BEND = 0.1
 class LabelSettings:
     """When a match counts as right; SettingsError if a value is out of its range.
 
-    Parameters
-    ----------
-    tolerance_px, tolerance_sigma : float
-        Reprojection error that is allowed: the larger of so many pixels (> 0) and of a multiple of the feature's sigma
-        (>= 0), since large features are located less well.
-    depth_tolerance : float
-        Relative difference of depth below which a point counts as visible, in (0, 1).
-    epipolar_px : float
-        Sampson distance that is allowed where there is no depth, pixels, > 0.
+    A reprojection error is allowed up to the larger of `tolerance_px` (> 0) and `tolerance_sigma` (>= 0) times the
+    feature's sigma, since large features are located less well; a point is visible where depths differ relatively by
+    less than `depth_tolerance`, in (0, 1). Without depth, Sampson distances up to `epipolar_px` pixels (> 0) are
+    allowed.
     """
 
     tolerance_px: float = 3.0
@@ -70,37 +65,15 @@ def label_matches(
     *,
     settings: LabelSettings | None = None,
 ) -> BoolArray:
-    """Return which matches are right.
+    """Return which matches `x1`, `x2` (N, 2) of features of sigma `scale1`, `scale2` (N,), pixels, are right, (N,).
 
-    Parameters
-    ----------
-    pair : Pair
-        Its depth maps decide, else its homography, its F or cameras, else its control points.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Matched points, pixels. ``N = 0`` is allowed.
-    scale1, scale2 : ndarray, shape (N,), float64
-        Sigma of the features, pixels.
-    settings : LabelSettings, optional
-        Tolerances.
+    With depth maps: where both reprojections are within ``max(tolerance_px, tolerance_sigma * sigma)`` and the point is
+    visible in both images. With a homography: where both transfers are. Else: where the Sampson distance to the true F
+    is below `epipolar_px`. A feature at the rim of an object may lie on the background, beside what it describes: where
+    a rim is within half a sigma (1 to 4 px), the depth on its other side may confirm the match as well. Sky is never
+    right.
 
-    Returns
-    -------
-    ndarray, shape (N,), bool
-        With depth: True where both reprojections are within ``max(tolerance_px, tolerance_sigma * sigma)``
-        and the point is visible in both images. With a homography: True where both transfers are within the same
-        distances. Else: True where the Sampson distance to the true F is below `epipolar_px`.
-
-    Raises
-    ------
-    FeatureError
-        If points have a wrong shape.
-    DatasetError
-        If the pair's files are damaged, or nothing decides (see `reference_fundamental`).
-
-    Notes
-    -----
-    A feature at the rim of an object may lie on the background, beside what it describes: where there is a rim within
-    half a sigma (1 to 4 px), the depth on its other side may confirm the match as well. Sky is never right.
+    FeatureError if points have a wrong shape; DatasetError if files are damaged or nothing decides.
     """
     settings = settings or LabelSettings()
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
@@ -164,13 +137,8 @@ def reference_fundamental(pair: Pair) -> FloatArray:
 
     The fit is the normalised eight-point algorithm, refined to the least Sampson distances, robustly, 1 px (Hartley and
     Zisserman, Multiple View Geometry, 2nd ed., section 11.4.3). On a pair whose control points lie on one plane it is
-    one of many F that explain them.
-
-    Raises
-    ------
-    DatasetError
-        If the cameras share their centre, a homography is the ground truth, or there are fewer than eight control
-        points or they decide nothing.
+    one of many F that explain them. DatasetError if the cameras share their centre, a homography is the ground truth,
+    or there are fewer than eight control points or they decide nothing.
     """
     F = pair.fundamental()
     if F is None and pair.camera1 is None and pair.homography_path is None:
@@ -182,10 +150,7 @@ def reference_fundamental(pair: Pair) -> FloatArray:
 
 
 def fit_to_points(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
-    """Return the F of smallest Sampson distances to control points (N, 2), pixels; single bad points count less.
-
-    It is normalised; None for fewer than eight points or where they decide nothing.
-    """
+    """Return the F of robustly smallest Sampson distances to points (N, 2), pixels; None for fewer than 8."""
     F = eight_point(x1, x2) if len(x1) >= MIN_MATCHES else None
     if F is None:
         return None
@@ -217,10 +182,7 @@ def control_points_from_depth(
 ) -> tuple[FloatArray, FloatArray]:
     """Return `count` matched points, spread evenly over all that both images see; fewer where fewer pixels are common.
 
-    Returns
-    -------
-    x1, x2 : ndarray, shape (N, 2), float64
-        Points at pixel centres of image 1, drawn within grid cells, and exactly where depth puts them in image 2.
+    They are (N, 2): pixel centres of image 1, drawn within grid cells, and exactly where depth puts them in image 2.
     """
     x1, x2, visible = covisible(cameras, depths)
     x1, x2 = x1[visible], x2[visible]

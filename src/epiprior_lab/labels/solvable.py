@@ -10,10 +10,7 @@ from epiprior_lab.pairsets import Pair
 
 
 def right_among_putative(pair: Pair, labels: LabelSettings) -> int:
-    """Return the number of right matches among X (paper, section 4.3), under the roll hypothesis that has most.
-
-    It depends on no model and no estimator.
-    """
+    """Return how many matches of X (paper, section 4.3) are right, under the roll hypothesis that has most."""
     prepared = prepare_pair(pair.image1, pair.image2, DEFAULT)
     (f1, f2), (place1, place2) = prepared.features, prepared.locations
     most = 0

@@ -1,7 +1,6 @@
-"""Pinhole cameras without distortion, and what two of them see in common.
+"""Pinhole cameras without distortion: ``X_camera = R X_world + t``, axes x right, y down, z forward, depth along z.
 
-Conventions: world-to-camera ``X_camera = R X_world + t``, OpenCV axes (x right, y down, z forward), the
-centre of the top-left pixel at (0, 0); depth is z along the optical axis.
+The centre of the top-left pixel is at (0, 0).
 """
 
 from __future__ import annotations
@@ -24,23 +23,10 @@ class CameraError(EpipriorError, ValueError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Camera:
-    """A pinhole camera.
+    """A pinhole camera: `K` (3, 3), `width`, `height` in pixels, `R` (3, 3), `t` (3,) from world to camera.
 
-    Parameters
-    ----------
-    K : ndarray, shape (3, 3), float64
-        Calibration, pixels; upper triangular, last row (0, 0, 1).
-    R : ndarray, shape (3, 3), float64
-        Rotation from world to camera.
-    t : ndarray, shape (3,), float64
-        Translation from world to camera, world units.
-    width, height : int
-        Image size, pixels.
-
-    Raises
-    ------
-    CameraError
-        If a shape is another, a value is not finite, focal length or size is not positive, or `R` is no rotation.
+    CameraError if a shape is another, a value is not finite, focal length or size is not positive, or `R` is no
+    rotation.
     """
 
     K: FloatArray
@@ -85,9 +71,9 @@ class Camera:
 
 
 def reproject(camera1: Camera, camera2: Camera, x1: FloatArray, depth1: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where, and at which depth, `camera2` sees what `camera1` sees at pixels `x1` (N, 2), `depth1` (N,) away.
+    """Return pixels (N, 2) and depths (N,) in `camera2` of what `camera1` sees at `x1` (N, 2), `depth1` (N,) away.
 
-    The pixels (N, 2) may lie outside the image, and are NaN behind the camera; the depths (N,) may be negative.
+    The pixels may lie outside the image, and are NaN behind the camera; the depths may be negative.
     """
     return camera2.project(camera1.back_project(x1, depth1))
 
@@ -95,8 +81,6 @@ def reproject(camera1: Camera, camera2: Camera, x1: FloatArray, depth1: FloatArr
 def fundamental_from_cameras(camera1: Camera, camera2: Camera) -> FloatArray | None:
     """Return F with ``x2' F x1 = 0``, normalised; None where both cameras share their centre.
 
-    References
-    ----------
     Hartley and Zisserman, Multiple View Geometry, 2nd ed., equation 9.2.
     """
     R = camera2.R @ camera1.R.T
@@ -111,16 +95,9 @@ def fundamental_from_cameras(camera1: Camera, camera2: Camera) -> FloatArray | N
 class ViewDifference:
     """How two views of a scene differ, over what both see.
 
-    Parameters
-    ----------
-    angle_deg : float
-        Median angle between the two rays to a common point, degrees.
-    overlap : float
-        Part of what one image sees that the other sees too, the smaller of both directions, in [0, 1].
-    scale_ratio : float
-        Median ratio of the sizes of things, larger over smaller, >= 1.
-    roll_deg : float
-        Rotation about the optical axis from image 1 to image 2, degrees in [0, 360), clockwise on the screen.
+    `angle_deg` is the median angle between the rays to a common point; `overlap` the part of what one image sees that
+    the other sees too, the smaller of both directions; `scale_ratio` (>= 1) the median ratio of the sizes of things;
+    `roll_deg` the rotation about the optical axis from image 1 to 2, in [0, 360), clockwise on the screen.
     """
 
     angle_deg: float
@@ -159,23 +136,10 @@ def covisible(
     step: int = 1,
     depth_tolerance: float = 0.02,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return what the first image sees, where it falls in the second, and whether it is visible there.
+    """Return pixels `x1` (N, 2) with a depth in the first image, their reprojections `x2`, and which are visible there.
 
-    Parameters
-    ----------
-    cameras, depths : tuples
-        Of both images.
-    step : int, default 1
-        Every `step`-th row and column of image 1 is looked at.
-    depth_tolerance : float, default 0.02
-        Relative difference of depth below which a point counts as visible.
-
-    Returns
-    -------
-    x1, x2 : ndarray, shape (N, 2)
-        Pixels at which image 1 has a depth, and their reprojections.
-    visible : ndarray, shape (N,), bool
-        True where image 2 sees the same point.
+    Every `step`-th row and column of image 1 is looked at. A point is visible where the relative difference between its
+    depth and that of image 2 is below `depth_tolerance`.
     """
     rows, columns = np.nonzero(np.isfinite(depths[0][::step, ::step]))
     x1 = step * np.column_stack([columns, rows]).astype(np.float64)

@@ -37,9 +37,6 @@ class DatasetError(EpipriorError, ValueError):
     """A pair set is missing, incomplete or damaged; the message names the file and, in a table, the line."""
 
 
-# --- text
-
-
 def read_text(path: Path) -> str:
     """Return the content of a UTF-8 file, line ends as they are; DatasetError if it cannot be read."""
     try:
@@ -80,7 +77,6 @@ def number(text: str) -> float:
 
 
 def _numbers(path: Path, line: int, row: dict[str, str], columns: tuple[str, ...]) -> list[float]:
-    """Return the finite numbers of some columns of a row."""
     values = {name: number(row[name]) for name in columns}
     for name, value in values.items():
         if np.isnan(value):
@@ -109,9 +105,6 @@ def read_numbers(path: Path, *, header: bool = False) -> list[tuple[int, list[fl
             raise DatasetError(f"{path}, line {line}: {wrong!r} is not a finite number")
         rows.append((line, values))
     return rows
-
-
-# --- tables and matrices of a pair set
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
@@ -169,9 +162,6 @@ def write_matrix(path: Path, matrix: FloatArray) -> None:
     path.write_text("".join(" ".join(repr(float(value)) for value in row) + "\n" for row in matrix), encoding="utf-8")
 
 
-# --- depth maps
-
-
 def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Return an ``.npz`` file that `numpy.load` reads; the same arrays in the same order give the same bytes."""
     archive = io.BytesIO()
@@ -208,14 +198,8 @@ def read_depth(path: Path) -> Float32Array:
     return np.where(depth > 0, depth, np.float32(np.inf))
 
 
-# --- images
-
-
 def image_size(path: Path, *, turn: bool = True) -> tuple[int, int]:
-    """Return width and height of an image from its header, turned as its EXIF data say unless `turn` is False.
-
-    DatasetError if the file cannot be read or is no image.
-    """
+    """Return width and height by the header, turned as EXIF says unless `turn` is False; DatasetError if damaged."""
     try:
         with PillowImage.open(path) as image:
             width, height = image.size

@@ -1,7 +1,4 @@
-"""Homographies between two images of a plane, or from one point.
-
-Conventions: ``x2 ~ H x1``; points are ``(N, 2)`` float64 pixels.
-"""
+"""Homographies between two images of a plane, or from one point: ``x2 ~ H x1``; points are (N, 2) float64 pixels."""
 
 from __future__ import annotations
 
@@ -33,9 +30,7 @@ def transfer(H: FloatArray, x: FloatArray) -> FloatArray:
 def transfer_distance(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
     """Return the larger of both transfer errors of each match, shape (N,), pixels; inf where one is undefined.
 
-    References
-    ----------
-    Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 4.2.2 (which sums the squares of both).
+    Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 4.2.2, sum the squares of both.
     """
     forward = np.linalg.norm(transfer(H, x1) - x2, axis=1)
     backward = np.linalg.norm(transfer(np.asarray(np.linalg.inv(H)), x2) - x1, axis=1)
@@ -43,10 +38,7 @@ def transfer_distance(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArr
 
 
 def grid_in_both(H: FloatArray, size1: tuple[int, int], size2: tuple[int, int], *, steps: int = 12) -> FloatArray:
-    """Return those of `steps` x `steps` points (N, 2) over image 1 that an invertible `H` takes into image 2.
-
-    Sizes are (width, height), pixels.
-    """
+    """Return those points (N, 2) of a grid over image 1 that `H` takes into image 2; sizes are (width, height)."""
     x, y = (axis.ravel() for axis in np.meshgrid(*((np.arange(steps) + 0.5) / steps * side - 0.5 for side in size1)))
     x1 = np.column_stack([x, y])
     # One sign of the third coordinate is in front; the middle of image 1 decides which.

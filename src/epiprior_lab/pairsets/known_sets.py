@@ -12,19 +12,10 @@ from pathlib import Path
 
 @dataclass(frozen=True, kw_only=True)
 class KnownSet:
-    """A published set of image pairs.
+    """A published set of image pairs: `name` is its folder, `title` for tables; the paper has results on a `paper` set.
 
-    Parameters
-    ----------
-    name, title : str
-        Name of its folder, and name for tables.
-    pairs : int
-        Number of its pairs.
-    paper : bool
-        True for the sets on which the paper reports results.
-    scene_pattern : str
-        Regular expression whose first group is the scene, matched against the name of an image file without its
-        suffix; empty where all pairs are one scene.
+    The first group of the regular expression `scene_pattern`, matched against the stem of an image file, is the scene;
+    where it is empty all pairs are one scene.
     """
 
     name: str

@@ -14,24 +14,10 @@ from epiprior_lab.pairsets.homographies import normalise_homography
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pair:
-    """Two images of one scene and their ground truth.
+    """Two images of one scene and their ground truth; what is None is not known or not the ground truth.
 
-    Parameters
-    ----------
-    pair_id, scene : str
-        `pair_id` is unique within the set; splits between training and test must not cross a scene.
-    image1, image2 : Path
-        Image files; they exist.
-    camera1, camera2 : Camera or None
-        None where the ground truth is another.
-    difficulty : str
-        For a reader, for example ``angle=21.5deg;overlap=0.79``.
-    control_points_path : Path or None
-        Table of control points.
-    depth_paths : tuple of Path or None
-        Depth maps of both images.
-    homography_path, fundamental_path : Path or None
-        Text file of a 3 x 3 matrix, where that is the ground truth.
+    `pair_id` is unique within the set; splits between training and test must not cross a `scene`; `difficulty` is for a
+    reader, for example ``angle=21.5deg;overlap=0.79``. The matrices are text files, 3 x 3.
     """
 
     pair_id: str
@@ -54,10 +40,9 @@ class Pair:
 
     @property
     def truth(self) -> str:
-        """What decides whether a match is right.
+        """``3D``: depth maps decide whether a match is right; ``plane``: a homography does; ``epipolar``: F alone.
 
-        ``3D``: depth maps say where a point is; ``plane``: a homography does; ``epipolar``: only the line is known on
-        which it must lie, and 1 to 4 % of random matches satisfy that by chance.
+        In the last case a match has to lie on a line, on which 1 to 4 % of random matches lie by chance.
         """
         if self.depth_paths is not None and self.camera1 is not None:
             return "3D"
@@ -76,10 +61,7 @@ class Pair:
         return read_control_points(self.control_points_path)
 
     def fundamental(self) -> FloatArray | None:
-        """Return F with ``x2' F x1 = 0`` that is given, or from the cameras; None without either or with one centre.
-
-        DatasetError if the file of a given F is damaged.
-        """
+        """Return F as given or from the cameras; None without, or with one centre; DatasetError if damaged."""
         if self.fundamental_path is not None:
             F = normalise_fundamental(read_matrix(self.fundamental_path))
             if F is None:
@@ -90,10 +72,7 @@ class Pair:
         return fundamental_from_cameras(self.camera1, self.camera2)
 
     def homography(self) -> FloatArray | None:
-        """Return H with ``x2 ~ H x1``, of Frobenius norm 1; None where that is not the ground truth.
-
-        DatasetError if the file is damaged or the matrix singular.
-        """
+        """Return H of Frobenius norm 1; None where it is not the ground truth; DatasetError if damaged or singular."""
         if self.homography_path is None:
             return None
         H = normalise_homography(read_matrix(self.homography_path))
@@ -102,10 +81,7 @@ class Pair:
         return H
 
     def depths(self) -> tuple[Float32Array, Float32Array] | None:
-        """Return both depth maps, (height, width), inf where nothing is; None where the set has none.
-
-        DatasetError if a file is damaged or its size is not the camera's.
-        """
+        """Return both depth maps, inf where nothing is, or None; DatasetError if damaged or of wrong size."""
         if self.depth_paths is None:
             return None
         depths = []

@@ -11,14 +11,7 @@ import numpy as np
 
 from epiprior.geometry import sampson_distance
 from epiprior_lab.pairsets.cameras import Camera
-from epiprior_lab.pairsets.files import (
-    PAIR_COLUMNS,
-    DatasetError,
-    check_pixels,
-    image_size,
-    read_cameras,
-    read_table,
-)
+from epiprior_lab.pairsets.files import PAIR_COLUMNS, DatasetError, check_pixels, image_size, read_cameras, read_table
 from epiprior_lab.pairsets.homographies import transfer_distance
 from epiprior_lab.pairsets.pair import Pair
 
@@ -36,25 +29,12 @@ class PairSet:
 
 
 def read_pair_set(root: Path | str, control_points: Path | str | None = None) -> PairSet:
-    """Read a pair set and check it, in milliseconds per pair.
+    """Read a pair set and check it, in milliseconds per pair; `check_pair_set` reads depth maps and pixels too.
 
-    Depth maps and the pixels of images are left for later (`check_pair_set` reads them); the sizes of images come from
-    their headers.
-
-    Parameters
-    ----------
-    root : Path or str
-        Folder with ``pairs.csv``.
-    control_points : Path or str, optional
-        Folder of ``<pair_id>.csv``. The default is ``root/control_points``.
-
-    Raises
-    ------
-    DatasetError
-        If the folder is no pair set, an image, camera or required file is missing, a pair id is there twice, a value
-        is wrong, an image has another size than its camera, a control point lies more than 2 px outside its image, or
-        the median distance of the control points to what the cameras, a given F or a given homography say is above
-        3 px. The message names the file and line.
+    `control_points` is the folder of ``<pair_id>.csv``, by default ``root/control_points``. DatasetError, with file and
+    line, if the folder is no pair set, a file or camera is missing, a pair id is there twice, a value is wrong, an
+    image has another size than its camera, a control point lies more than 2 px outside its image, or the median
+    distance of the control points to what the cameras, a given F or a given homography say is above 3 px.
     """
     root = Path(root)
     points_folder = root / "control_points" if control_points is None else Path(control_points)

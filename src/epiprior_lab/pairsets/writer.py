@@ -12,19 +12,7 @@ from epiprior_lab.pairsets.files import CAMERA_COLUMNS, PAIR_COLUMNS, DatasetErr
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PairFiles:
-    """A pair with cameras, its files encoded.
-
-    Parameters
-    ----------
-    pair_id, scene, difficulty : str
-        As in ``pairs.csv``; `pair_id` becomes the stem of the files.
-    camera1, camera2 : Camera
-        Cameras of both images.
-    jpeg1, jpeg2 : bytes
-        The images.
-    depth1, depth2 : bytes
-        The depth maps, as `encode_depth` makes them.
-    """
+    """A pair with cameras, its files encoded, depth by `encode_depth`; `pair_id` becomes the stem of the files."""
 
     pair_id: str
     scene: str

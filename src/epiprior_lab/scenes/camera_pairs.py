@@ -22,8 +22,7 @@ _RELIEF_M = 0.3
 class Subject:
     """What is photographed: cameras stand before `frame`, `eye_m` above the ground, and aim at a place on it.
 
-    `distance_m` is that of the nearer camera, `obliquity_deg` the largest angle between the front's normal and a
-    camera's direction. All bounds are (low, high).
+    `distance_m` (low, high) is that of the nearer camera, `obliquity_deg` the largest angle to the front's normal.
     """
 
     frame: Frame
@@ -51,10 +50,7 @@ def look_at(
 def draw_camera_pair(
     rng: np.random.Generator, world: World, subject: Subject, settings: FamilySettings, *, width: int, height: int
 ) -> tuple[Camera, Camera, ViewDifference] | None:
-    """Return the first of 40 draws whose angle, overlap and relief are within bounds; None if none is.
-
-    How the views differ is measured on small depth maps.
-    """
+    """Return the first of 40 draws with angle, overlap and relief, on small depth maps, within bounds, or None."""
     for _ in range(_TRIES):
         camera1, camera2 = _draw(rng, subject, settings, width=width, height=height)
         small = _preview(camera1), _preview(camera2)
@@ -72,7 +68,6 @@ def draw_camera_pair(
 def _draw(
     rng: np.random.Generator, subject: Subject, settings: FamilySettings, *, width: int, height: int
 ) -> tuple[Camera, Camera]:
-    """Draw two cameras, either of them the nearer one."""
     angle = rng.uniform(*settings.angle_deg)
     limit = max(0.0, subject.obliquity_deg - angle / 2)
     middle = rng.uniform(-limit, limit)

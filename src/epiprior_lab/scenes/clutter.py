@@ -31,10 +31,7 @@ def scatter(
     before: tuple[float, float],
     view: int,
 ) -> None:
-    """Add `count` things of random kinds, at random positions in a rectangle before the subject, for one view or both.
-
-    `across` and `before` are bounds in metres, along the subject and away from it.
-    """
+    """Add `count` random things for one view or both within `across` (along the subject) and `before` it, metres."""
     for _ in range(count):
         position = float(rng.uniform(*across)), 0.0, -float(rng.uniform(*before))
         placers[int(rng.integers(len(placers)))](world, rng, position, view)
@@ -93,7 +90,6 @@ def add_car(world: WorldBuilder, rng: np.random.Generator, position: Vector, vie
 
 
 def _car_side(rng: np.random.Generator, colour: Colour) -> Image:
-    """Return the side of a car below its windows."""
     image = tinted(colour, 0.04 * noise(rng, 96, 480, "coarse"))
     for x in (95, 385):
         cv2.circle(image, (x, 74), 40, (22, 22, 24), -1, cv2.LINE_AA)
@@ -108,7 +104,6 @@ def _car_side(rng: np.random.Generator, colour: Colour) -> Image:
 
 
 def _car_front(rng: np.random.Generator, colour: Colour) -> Image:
-    """Return the front of a car."""
     image = tinted(colour, 0.04 * noise(rng, 96, 200, "coarse"))
     cv2.rectangle(image, (60, 20), (140, 44), (30, 30, 32), -1)
     for x in (28, 172):
@@ -119,7 +114,6 @@ def _car_front(rng: np.random.Generator, colour: Colour) -> Image:
 
 
 def _car_windows(rng: np.random.Generator, colour: Colour) -> Image:
-    """Return the windows of a car."""
     image = np.asarray(crop(rng, 64, 256, PICTURES) // 4 + 18, dtype=np.uint8)
     for x in (0, 120, 248):
         image[:, x : x + 8] = colour

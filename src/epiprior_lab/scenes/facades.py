@@ -145,7 +145,6 @@ def _add_reveals(world: WorldBuilder, frame: Frame, opening: Opening, recess: fl
 
 
 def _stone(rng: np.random.Generator, colour: Colour) -> Image:
-    """Return plain stone for sills and reveals."""
     return tinted(colour, 0.06 * noise(rng, 64, 128, "fine") + 0.05 * noise(rng, 64, 128, "middle"))
 
 
@@ -235,7 +234,6 @@ def _moulding(rng: np.random.Generator, style: HouseStyle) -> Image:
 def _add_roof(
     world: WorldBuilder, rng: np.random.Generator, frame: Frame, *, width: float, height: float, depth: float
 ) -> None:
-    """Add two slopes and two gables, and chimneys."""
     rise, eave = float(rng.uniform(0.15, 0.45)) * depth, 0.5
     tiles = world.texture(roof(rng, 384, 512, texels_per_m=40.0))
     area = (0.0, 0.0, max(1.0, width / 12.0), 1.0)

@@ -85,10 +85,7 @@ def courses(
     joints: float,
     regular: bool = True,
 ) -> Float32Array:
-    """Return rows of stones with joints, shape (height, width), as deviations from brightness 1.
-
-    Stones are in bond when `regular`, else of random width and every row on its own.
-    """
+    """Return rows of stones with joints, (height, width), as deviations from brightness 1; in bond when `regular`."""
     relief = np.empty((height, width), dtype=np.float32)
     edges = np.unique(np.rint(np.arange(0.0, height + course_px, course_px)).astype(int))
     joint = max(1, round(0.07 * course_px))
@@ -130,7 +127,6 @@ def wall(rng: np.random.Generator, height: int, width: int, style: WallStyle, *,
 
 
 def _add_cracks(rng: np.random.Generator, relief: Float32Array, *, count: int) -> None:
-    """Draw dark random walks into a relief."""
     height, width = relief.shape
     for _ in range(count):
         steps = int(rng.integers(10, 60))

@@ -25,11 +25,7 @@ class SceneError(EpipriorError, RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class RenderedPair:
-    """Two images of one scene with exact ground truth.
-
-    Images are (H, W, 3), RGB; depths (H, W), along the optical axis at pixel centres, metres, inf where nothing is
-    seen; `difference` tells how the views differ.
-    """
+    """Two images (H, W, 3), RGB, of one scene; depths (H, W) along the axis, metres, inf where nothing is seen."""
 
     image1: Image
     image2: Image
@@ -43,25 +39,10 @@ class RenderedPair:
 def render_pair(
     family: str, seed: int, *, width: int = 1024, height: int = 768, settings: FamilySettings | None = None
 ) -> RenderedPair:
-    """Render a pair.
+    """Render a pair of a family of `FAMILIES`, or with other `settings`; equal seeds give equal bytes.
 
-    Parameters
-    ----------
-    family : str
-        Name in `FAMILIES`.
-    seed : int
-        Decides everything; equal seeds give equal bytes.
-    width, height : int
-        Image size, pixels, at least 64.
-    settings : FamilySettings, optional
-        In place of the family's.
-
-    Raises
-    ------
-    SettingsError
-        If the family is unknown or the image too small.
-    SceneError
-        If a dozen scenes in a row offer no two views within the family's bounds.
+    SettingsError if the family is unknown or a side is below 64 pixels; SceneError if a dozen scenes in a row offer no
+    two views within the family's bounds.
     """
     if settings is None and family not in FAMILIES:
         raise SettingsError(f"family = {family!r}, expected one of {', '.join(FAMILIES)}")

@@ -64,13 +64,7 @@ def take(image: Image, photograph: Photograph, rng: np.random.Generator) -> Imag
 
 
 def encode_jpeg(image: Image, quality: int) -> bytes:
-    """Return an RGB image as the bytes of a JPEG file.
-
-    Raises
-    ------
-    SettingsError
-        If the quality is not in 1 to 100.
-    """
+    """Return an RGB image as the bytes of a JPEG file; SettingsError if the quality is not in 1 to 100."""
     if not 1 <= quality <= 100:
         raise SettingsError(f"jpeg_quality = {quality}, expected 1 to 100")
     _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])

@@ -21,7 +21,6 @@ _ROWS, _COLUMNS = 512, 1024  # of the surroundings
 
 
 def _begin_world(rng: np.random.Generator) -> WorldBuilder:
-    """Return a world with sky, ground and what stands at its rim."""
     world = WorldBuilder(surroundings=_surroundings(rng))
     side = 768
     ground = world.texture(pavement(rng, side, side, texels_per_m=side / _GROUND_TILE_M))
@@ -151,7 +150,6 @@ def _add_neighbours(
 
 
 def _house_style(rng: np.random.Generator, settings: FamilySettings, texels_per_m: float) -> HouseStyle:
-    """Draw the style of a house of a family."""
     distinct, variety = float(rng.uniform(*settings.distinct)), float(rng.uniform(*settings.variety))
     return house_style(rng, distinct=distinct, variety=variety, texels_per_m=texels_per_m)
 
@@ -164,7 +162,6 @@ def _add_passing(
     across: tuple[float, float],
     before: tuple[float, float],
 ) -> None:
-    """Add what stands in one view only."""
     for view in (FIRST_VIEW, SECOND_VIEW):
         count = round(rng.uniform(*settings.passing))
         scatter(world, rng, PASSING, count=count, across=across, before=before, view=view)

@@ -63,10 +63,7 @@ class Place(NamedTuple):
 
 @numba.njit(cache=True, nogil=True)
 def nearest_faces(faces, textures, samples, inverse_depth, number):  # type: ignore[no-untyped-def]
-    """Write the inverse depth and the number of the nearest face of each sample; they come in as 0 and -1.
-
-    `samples` per pixel and axis.
-    """
+    """Write inverse depth and number of the nearest face of each sample, `samples` per axis; they are 0 and -1."""
     rows, columns = inverse_depth.shape
     for k in range(len(faces.inverse)):
         M, frame = faces.inverse[k], faces.frame[k]

@@ -52,10 +52,9 @@ def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Flo
 def render_image(
     world: World, camera: Camera, light: Light, shadows: Shadows, *, view: int = BOTH_VIEWS, samples: int = 2
 ) -> Image:
-    """Return a camera's image, (height, width, 3) RGB, before anything that a lens or sensor does to it.
+    """Return a camera's image (height, width, 3), RGB, of the faces of `view`, without effects of lens or sensor.
 
-    Faces of the other view only are left out. `samples` per pixel along each axis serve the rims of faces; textures are
-    filtered in any case.
+    `samples` per pixel along each axis serve the rims of faces; textures are filtered in any case.
     """
     faces = _faces(world, camera, view, light)
     _, number = _nearest(world, camera, faces, samples)

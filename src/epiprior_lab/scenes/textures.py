@@ -36,13 +36,7 @@ _FIELD_SIDE = 2048
 
 @functools.cache
 def photograph(name: str) -> Image:
-    """Return a packaged photograph, shape (H, W, 3), RGB; do not write into it.
-
-    Raises
-    ------
-    ImageError
-        If the installed package does not carry the file.
-    """
+    """Return a packaged photograph, (H, W, 3), RGB, not to be written into; ImageError if the file is missing."""
     package, file = _FILES[name]
     try:
         with resources.files(package).joinpath(file).open("rb") as stream, PillowImage.open(stream) as picture:
@@ -80,9 +74,9 @@ def noise(rng: np.random.Generator, height: int, width: int, grain: Grain) -> Fl
 def crop(
     rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, part: tuple[float, float] = (0.3, 1.0)
 ) -> Image:
-    """Return a random part of one of the photographs `names` at the wanted size, shape (height, width, 3).
+    """Return a random crop of one of the photographs `names`, (height, width, 3).
 
-    `part` is the smallest and largest side of the crop as a part of the largest crop of that shape.
+    `part` bounds the side of the crop as a part of the largest crop of that shape.
     """
     image = photograph(names[int(rng.integers(len(names)))])
     rows, columns = image.shape[:2]
@@ -116,10 +110,7 @@ def print_line(
 
 
 def surface(rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, zoom: float) -> Float32Array:
-    """Return the brightness of a photograph, tiled by mirroring, (height, width), mean 0, deviation 1.
-
-    `zoom` texels per pixel of the photograph.
-    """
+    """Return a photograph's brightness, mirrored in tiles, mean 0, deviation 1; `zoom` texels per pixel."""
     image = cv2.cvtColor(photograph(names[int(rng.integers(len(names)))]), cv2.COLOR_RGB2GRAY)
     rows, columns = int(np.ceil(height / zoom)) + 1, int(np.ceil(width / zoom)) + 1
     top, left = int(rng.integers(image.shape[0])), int(rng.integers(image.shape[1]))

@@ -20,11 +20,7 @@ _SOLID = 255
 
 @dataclass(frozen=True, kw_only=True)
 class WindowStyle:
-    """What all windows of a house have in common: size of the opening and of the frame in metres, panes, colours.
-
-    `trim_colour` is that of the stone around the opening; `variety` tells how much one window differs from the next,
-    in [0, 1].
-    """
+    """What all windows of a house share; `variety`, in [0, 1], tells how much one differs from the next."""
 
     width_m: float
     height_m: float

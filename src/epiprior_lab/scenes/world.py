@@ -1,7 +1,6 @@
-"""A world of textured flat faces: parallelograms and triangles.
+"""A world of textured flat faces, parallelograms and triangles, in metres.
 
-Units are metres; x points right, y down, z away from a viewer who stands before a facade; the ground is
-near y = 0.
+x points right, y down, z away from a viewer who stands before a facade; the ground is near y = 0.
 """
 
 from __future__ import annotations
@@ -25,26 +24,16 @@ _MIN_LEVEL_SIDE = 2
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """Faces and textures in flat arrays, ready to be drawn.
+    """N faces and T textures in flat arrays, ready to be drawn.
 
-    Parameters
-    ----------
-    corner, across, down : ndarray, shape (N, 3), float64
-        A corner of each face and its two edges from there.
-    texture_frame : ndarray, shape (N, 3, 2), float64
-        Texture coordinates (fractions of width and height) of the corner, and their change along both edges.
-    texture, triangle, cut_out, views : ndarray, shape (N,), int64
-        Number of the texture; 1 where the face is a triangle; 1 where transparent texels are holes; bit set of the
-        views that show it.
-    brightness, mirror : ndarray, shape (N,), float64
-        Factor on top of the light; how much of the surroundings a glass texel reflects.
-    levels : ndarray, shape (T, MAX_LEVELS, 3), int64
-        First texel, width and height of each texture's image at each halving of its size.
-    texels : ndarray, shape (M, 4), uint8
-        All textures at all sizes: red, green, blue, opacity (below 128: a hole; 128 to 255: from glass to
-        solid).
-    surroundings : ndarray, shape (H, W, 3), uint8
-        What is infinitely far: sky and skyline, by elevation (rows, zenith first) and azimuth (columns).
+    `corner`, `across`, `down` (N, 3) are a corner of each face and its two edges from there; `texture_frame` (N, 3, 2)
+    the texture coordinates (fractions of width and height) of the corner and their change along both edges. `texture`
+    (N,) is the texture's number; `triangle` and `cut_out` are 1 for a triangle, and where transparent texels are holes;
+    `views` is the bit set of the views that show the face. `brightness` (N,) is a factor on top of the light, `mirror`
+    (N,) how much of the surroundings a glass texel reflects. `levels` (T, MAX_LEVELS, 3) holds first texel, width and
+    height of each texture at each halving of its size; `texels` (M, 4) are red, green, blue, opacity (below 128: a
+    hole; 128 to 255: from glass to solid). `surroundings` (H, W, 3) are infinitely far, by elevation (zenith first) and
+    azimuth.
     """
 
     corner: FloatArray
@@ -153,8 +142,7 @@ def _halvings(image: Image) -> list[Image]:
 class Frame:
     """A place to build at: `a` metres along a wall, `b` up from its foot, `c` out of it towards the viewer.
 
-    `foot` is the world position of a = b = c = 0: the left foot of the wall as seen from the front; `right` and
-    `outward` are unit vectors, horizontal and perpendicular.
+    `foot` is the left end of the foot, seen from the front; `right` and `outward` are horizontal unit vectors.
     """
 
     foot: FloatArray

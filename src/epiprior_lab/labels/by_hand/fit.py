@@ -27,18 +27,10 @@ _FAR_MEDIANS = 6.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PairFit:
-    """What the points say about the pair of images.
+    """What the points say about the pair: `F` of those that agree, and Sampson distances (N,), pixels, of all.
 
-    Parameters
-    ----------
-    F : ndarray, shape (3, 3)
-        Fundamental matrix with ``x2' F x1 = 0``, of those points that agree.
-    residuals : ndarray, shape (N,)
-        Sampson distance of each point, pixels, >= 0.
-    far_off : ndarray, shape (N,), bool
-        True where a point contradicts the others; all False below `MIN_JUDGED` points.
-    one_plane : bool
-        True where one homography explains all points that are not far off: F is then one of many that do.
+    `far_off` (N,) tells which contradict the others, none below `MIN_JUDGED` points; `one_plane` that one homography
+    explains all that are not far off: F is then one of many that do.
     """
 
     F: FloatArray
@@ -50,14 +42,10 @@ class PairFit:
 def fit_pairs(x1: FloatArray, x2: FloatArray, *, click_px: float = 1.0) -> PairFit | None:
     """Fit F to points (N, 2) clicked by hand, with a precision of `click_px` pixels; FeatureError for other shapes.
 
-    None for fewer than eight points, or where they decide nothing (all on one line, or on one place). The same points
-    give the same result.
-
-    Notes
-    -----
-    A point is far off where its distance is above both 3 `click_px` and 6 times the median distance. This is a hint, no
-    proof: where nearly all points lie on one plane, a wrong one may look like a point off the plane, which moves the
-    epipole and makes another point far off.
+    None for fewer than eight points, or where they decide nothing (all on one line, or on one place). A point is far
+    off where its distance is above both 3 `click_px` and 6 times the median distance. This is a hint, no proof: where
+    nearly all points lie on one plane, a wrong one may look like a point off the plane, which moves the epipole and
+    makes another point far off.
     """
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
     agreeing = np.ones(len(x1), dtype=bool)

@@ -47,8 +47,6 @@ class _Answer(NamedTuple):
 
 
 class _RequestError(Exception):
-    """A request that is refused with a status."""
-
     def __init__(self, status: HTTPStatus, message: str) -> None:
         super().__init__(message)
         self.status = status
@@ -99,7 +97,6 @@ class LabelServer:
         self._http.shutdown()
 
     def _answer(self, request: _Handler) -> _Answer:
-        """Return the answer to a request that passed no check yet."""
         if request.headers.get("Host") not in (f"{_ADDRESS}:{self.port}", f"localhost:{self.port}"):
             raise _RequestError(HTTPStatus.FORBIDDEN, "this server answers to its own name only")
         prefix = f"/{self._secret}/"
@@ -153,12 +150,6 @@ class _Handler(BaseHTTPRequestHandler):
         self._make_answer = answer
         super().__init__(*arguments)
 
-    def do_GET(self) -> None:
-        self._reply()
-
-    def do_POST(self) -> None:
-        self._reply()
-
     def log_message(self, format: str, *args: Any) -> None:
         """Log nothing: addresses hold the secret."""
 
@@ -179,7 +170,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RequestError(HTTPStatus.BAD_REQUEST, "expected a JSON object")
         return sent
 
-    def _reply(self) -> None:
+    def do_GET(self) -> None:
         try:
             answer = self._make_answer(self)
         except (_RequestError, OSError, EpipriorError) as error:
@@ -193,6 +184,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(answer.body)
         if answer.last:
             self.server.shutdown()
+
+    do_POST = do_GET
 
 
 def _status(error: Exception) -> HTTPStatus:

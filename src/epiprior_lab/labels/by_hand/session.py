@@ -36,18 +36,9 @@ class ConflictError(LabelError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LabelImage:
-    """An image as OpenCV decodes it, turned as its EXIF data say.
+    """An image as OpenCV decodes it, turned as its EXIF data say; `sha256` is of the file.
 
-    Parameters
-    ----------
-    path : Path
-        Where it came from.
-    width, height : int
-        Pixels.
-    png : bytes
-        The decoded pixels: whatever the format, the page shows what features are found on.
-    sha256 : str
-        Of the file.
+    The page shows `png`, the decoded pixels, whatever the format: what features are found on.
     """
 
     path: Path
@@ -70,28 +61,13 @@ class LabelImage:
 
 
 class LabelSession:
-    """Two images and the control points that are clicked in them.
+    """Two images and the control points clicked in them, in the file `out`, which is continued where it exists.
 
-    Beside ``points.csv`` is its record, ``points.pair.json``: names, sizes and hashes of the two images that the
-    points belong to, which a file of control points does not hold.
+    Beside ``points.csv`` is its record, ``points.pair.json``: names, sizes and hashes of the two images that the points
+    belong to, which a file of control points does not hold.
 
-    Parameters
-    ----------
-    image1, image2 : Path
-        The images.
-    out : Path
-        The control-point file; it is continued where it exists. Its folder exists.
-    force : bool
-        Whether to start anew over a file that belongs to another pair, or that is damaged.
-
-    Raises
-    ------
-    ImageError
-        If an image cannot be read, or both are the same.
-    OutputError
-        If `out` can never be written.
-    LabelError, DatasetError
-        If `out` belongs to another pair, or is damaged, and `force` is not set.
+    ImageError if an image cannot be read or both are the same, OutputError if `out` can never be written. LabelError or
+    DatasetError if `out` belongs to another pair or is damaged, unless `force` starts it anew.
     """
 
     def __init__(self, image1: Path, image2: Path, out: Path, *, force: bool = False) -> None:
@@ -126,10 +102,7 @@ class LabelSession:
         return len(self._read())
 
     def state(self) -> dict[str, Any]:
-        """Return all that the page needs: images, file, its points and revision.
-
-        DatasetError or LabelError if the file was damaged, or exchanged for another pair's, since.
-        """
+        """Return all that the page needs; DatasetError or LabelError if the file was damaged or exchanged since."""
         with self._lock:
             return {
                 "images": [image.described() for image in self.images],
@@ -154,7 +127,7 @@ class LabelSession:
         }
 
     def save(self, points: Any, revision: Any) -> str:
-        """Write points as the page sends them, whole or not at all, and the record; return the file's new revision.
+        """Write points and the record, whole or not at all, and return the file's new revision.
 
         LabelError if they are no points, ConflictError if the file is no longer of the `revision` that they continue,
         OutputError if a file cannot be written.
@@ -167,16 +140,14 @@ class LabelSession:
             with replacing(self._target) as partial:
                 write_control_points(partial, np.ascontiguousarray(x[:, :2]), np.ascontiguousarray(x[:, 2:]))
             self._anew = False
-            record = {
-                f"image{k}": image.described() | {"sha256": image.sha256}
-                for k, image in enumerate(self.images, start=1)
-            }
+            described = [image.described() | {"sha256": image.sha256} for image in self.images]
+            record = {"image1": described[0], "image2": described[1]}
             with replacing(self._record) as partial:
                 partial.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
             return self._revision()
 
     def checked(self, points: Any) -> FloatArray:
-        """Return points as the page sends them, [x1, y1, x2, y2] each, as an array of shape (N, 4).
+        """Return points [x1, y1, x2, y2] of the page as an array (N, 4).
 
         LabelError if they are no list of four finite numbers each, too many, or outside their image.
         """

@@ -23,17 +23,10 @@ def find_colmap(
 ) -> list[FoundPair]:
     """Return pairs of a COLMAP model, or of each model of a workspace, a scene of its own.
 
-    Parameters
-    ----------
-    folder : Path
-        A model (``cameras``, ``images`` and ``points3D`` as ``.bin`` or ``.txt``), or a workspace with models in
-        ``sparse/0``, ``sparse/1``, ... or ``sparse``.
-    images : Path, optional
-        Folder of the photographs; ``images`` in `folder` or in one of the two folders above by default.
-    scene : str, optional
-        Name of the scene; the workspace's by default.
-    choice : PairChoice, optional
-        Which pairs; DatasetError if there is none, a model or photograph is missing, or a file is damaged.
+    `folder` holds a model (``cameras``, ``images`` and ``points3D`` as ``.bin`` or ``.txt``), or models in ``sparse``
+    or ``sparse/0``, ``sparse/1``, ...; `images` is by default ``images`` in it or in one of the two folders above;
+    `scene` is by default the workspace's name. DatasetError if there is no pair, a model or photograph is missing, or a
+    file is damaged.
     """
     choice = choice or PairChoice()
     models = _models(need_folder(folder))
@@ -69,7 +62,6 @@ def _images_near(folder: Path) -> Path:
 
 
 def _read(model: Path) -> Any:
-    """Return the reconstruction of a model."""
     import pycolmap
 
     _check_model(model)
@@ -81,9 +73,6 @@ def _read(model: Path) -> Any:
         if camera.width <= 0 or camera.height <= 0 or not np.isfinite(camera.params).all():
             raise DatasetError(f"{model}: camera {camera.camera_id} has an impossible size or parameters")
     return reconstruction
-
-
-# --- the files of a model
 
 
 def _check_model(folder: Path) -> None:

@@ -139,12 +139,10 @@ def pairs(
     _import(out, max_side, lambda: find_pairs(path, images=images, truths=truths, origin=origin, known=known))
 
 
-def check_set(
-    folder: Annotated[Path, typer.Argument(help="Folder of a pair set.", show_default=False)],
-) -> None:
+def check_set(folder: Annotated[Path, typer.Argument(help="Folder of a pair set.", show_default=False)]) -> None:
     """Read all of a pair set: tables, images, control points, depth maps, and whether they agree."""
     from epiprior_lab.pairsets import check_pair_set, read_pair_set
-    from epiprior_lab.pairsets.importers.progress import progress_bar
+    from epiprior_lab.pairsets.importers.output import progress_bar
 
     with progress_bar("checking", len(read_pair_set(folder).pairs)) as advance:
         pair_set = check_pair_set(folder, on_pair=advance)
@@ -152,9 +150,7 @@ def check_set(
     typer.echo(f"{typer.format_filename(folder)}: {_counted(pair_set)}, truth: {', '.join(kinds)}")
 
 
-def sets(
-    folders: Annotated[list[Path], typer.Argument(help="Folders of pair sets, such as data/real.")],
-) -> None:
+def sets(folders: Annotated[list[Path], typer.Argument(help="Folders of pair sets, such as data/real.")]) -> None:
     """List the known pair sets, and which of them are present."""
     from rich.console import Console
     from rich.table import Table

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from epiprior.errors import OutputError
 from epiprior.features.images import read_image
@@ -26,11 +29,9 @@ from epiprior_lab.pairsets.files import (
     write_table,
 )
 from epiprior_lab.pairsets.homographies import grid_in_both, transfer
-from epiprior_lab.pairsets.importers.progress import progress_bar
 
 Pixels = NDArray[np.uint8]
 
-DEFAULT_MAX_SIDE = 1280
 _COPIED = {".jpg", ".jpeg", ".png", ".ppm", ".pgm"}
 _JPEG_QUALITY = 95
 _LONGEST_NAME = 250  # bytes, a suffix to come; file systems allow 255
@@ -50,20 +51,26 @@ def as_text(name: str) -> str:
     return name
 
 
+@contextlib.contextmanager
+def progress_bar(description: str, total: int) -> Iterator[Callable[[], None]]:
+    """Yield a function that advances a bar on a terminal; elsewhere a line is printed when the work is done."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda: None
+        console.print(f"{description}: {total}", highlight=False)
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task(description, total=total)
+        yield lambda: progress.advance(bar)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Photograph:
-    """An image of a published set.
+    """An image of a published set; `name` is the stem of its file in the new set, unique there.
 
-    Parameters
-    ----------
-    name : str
-        Stem of its file in the new set; unique there.
-    path : Path
-        Where it comes from.
-    camera : Camera, optional
-        Of the pixels before they are made smaller.
-    develop : callable, optional
-        Returns the pixels where they are not those of the file: undistorted, or part of a larger file.
+    `camera` is that of the pixels before they are made smaller; `develop` returns the pixels where they are not those
+    of the file `path`: undistorted, or part of a larger file.
     """
 
     name: str
@@ -80,17 +87,8 @@ class FoundPair:
     """Two photographs and what is known of them: cameras, a homography, an F, or only control points.
 
     Coordinates are pixels of the photographs before they are made smaller, the centre of the top-left pixel at (0, 0).
-
-    Parameters
-    ----------
-    pair_id, scene, difficulty : str
-        As in ``pairs.csv``.
-    image1, image2 : Photograph
-        Both with cameras or both without.
-    points : tuple of ndarray, optional
-        Control points, two arrays of shape (N, 2); a homography without any gets a grid of them.
-    homography, fundamental : ndarray, shape (3, 3), optional
-        ``x2 ~ H x1``; ``x2' F x1 = 0``. At most one of them, and not with cameras.
+    Both images have cameras, or neither, and at most one of `homography` and `fundamental` is given. `points` are two
+    arrays (N, 2); a homography without any gets a grid of them.
     """
 
     pair_id: str
@@ -142,35 +140,20 @@ def check_photographs(photographs: Iterable[Photograph]) -> None:
         known[name] = path
 
 
-def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = DEFAULT_MAX_SIDE) -> PairSet:
+def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = 1280) -> PairSet:
     """Write pairs as a new pair set, read it back and so check it.
 
-    Parameters
-    ----------
-    out : Path
-        Folder of the set; must not exist.
-    pairs : sequence of FoundPair
-        At least one; ids are unique.
-    max_side : int
-        Larger images are made smaller, and everything with them, pixels. Smaller ones are copied as they are.
-
-    Raises
-    ------
-    OutputError
-        If `out` exists or cannot be written.
-    DatasetError, ImageError
-        If there is no pair, a name cannot be that of a file, two photographs have one name or one cannot be read, all
-        before anything is written; or if the set does not pass the check of `read_pair_set`. What was written until
-        then stays in ``<out>.partial``.
+    Images larger than `max_side` pixels are made smaller, and everything with them; others are copied as they are.
+    OutputError if `out` exists or cannot be written. DatasetError or ImageError if there is no pair, a name cannot be
+    that of a file, two photographs have one name or one cannot be read, all before anything is written; or if the set
+    does not pass the check of `read_pair_set`. What was written until then stays in ``<out>.partial``.
     """
     check_out(out)
     if not pairs:
         raise DatasetError(f"{out}: no pair was found")
-    for pair in pairs:
-        if "/" in pair.pair_id or len(pair.pair_id.encode()) > _LONGEST_NAME:
-            raise DatasetError(
-                f"pair {pair.pair_id!r}: a pair set has files of this name: no '/', {_LONGEST_NAME} bytes"
-            )
+    for name in (pair.pair_id for pair in pairs):
+        if "/" in name or len(name.encode()) > _LONGEST_NAME:
+            raise DatasetError(f"pair {name!r}: a pair set has files of this name: no '/', {_LONGEST_NAME} bytes")
     check_photographs(photograph for pair in pairs for photograph in (pair.image1, pair.image2))
     partial = out.with_name(out.name + ".partial")
     try:
@@ -195,9 +178,8 @@ def _write(root: Path, pairs: Sequence[FoundPair], max_side: int) -> None:
                     continue
                 new = written[photograph.name] = _write_image(root, photograph, max_side)
                 if photograph.camera is not None:
-                    camera = photograph.camera
-                    K, (width, height) = new.to_new @ camera.K, new.size
-                    scaled = Camera(K=K, R=camera.R, t=camera.t, width=width, height=height)
+                    K, (width, height) = new.to_new @ photograph.camera.K, new.size
+                    scaled = replace(photograph.camera, K=K, width=width, height=height)
                     camera_rows.append(camera_row(new.file, scaled))
             image1, image2 = written[pair.image1.name], written[pair.image2.name]
             _write_truth(root, pair, image1, image2)
@@ -235,7 +217,6 @@ def shrinking(old: tuple[int, int], new: tuple[int, int]) -> FloatArray:
 
 
 def _write_truth(root: Path, pair: FoundPair, image1: _Written, image2: _Written) -> None:
-    """Write control points, homography and F in the new pixels."""
     to1, to2 = image1.to_new, image2.to_new
     points = None if pair.points is None else (transfer(to1, pair.points[0]), transfer(to2, pair.points[1]))
     if pair.homography is not None:

@@ -33,24 +33,13 @@ def find_pairs(
     origin: float = 0.0,
     known: str | None = None,
 ) -> list[FoundPair]:
-    """Return the pairs of a table.
+    """Return the pairs of a comma-separated table, whose columns are in ``docs/pair-sets.md``.
 
-    Parameters
-    ----------
-    table : Path
-        Comma-separated; its columns are in ``docs/pair-sets.md``.
-    images, truths : Path, optional
-        Folders that the names of images, and of the other files, are relative to; the table's by default.
-    origin : float
-        Coordinate of the centre of the top-left pixel in the files: 1 if they count as MATLAB does.
-    known : str, optional
-        Name of a known set: its number of pairs is checked, and it says what a scene is.
-
-    Raises
-    ------
-    DatasetError
-        If the table, an image or a file is missing or damaged, a row has no ground truth, or a known set has another
-        number of pairs; the message names the file and line.
+    Names of images and of other files are relative to `images` and `truths`, by default the table's folder. `origin` is
+    the coordinate of the centre of the top-left pixel in the files: 1 if they count as MATLAB does. `known` is the name
+    of a known set: its number of pairs is checked, and it says what a scene is. DatasetError, with file and line, if
+    the table, an image or a file is missing or damaged, a row has no ground truth, or a known set has another number of
+    pairs.
     """
     sets = {one.name: one for one in known_sets()}
     if known is not None and known not in sets:
@@ -69,7 +58,6 @@ def find_pairs(
 def _listed(
     row: dict[str, str], where: str, folders: tuple[Path, Path], origin: float, known: KnownSet | None, scene: str
 ) -> FoundPair:
-    """Return the pair of a row of the table."""
     images, truths = folders
     photographs = []
     for column in ("image1", "image2"):
@@ -135,17 +123,9 @@ def find_usac(folder: Path, *, points: Path | None = None, fit: bool = False) ->
                 f"{path}: its matches are no ground truth. Mark points with `epiprior-lab label {images[0]} {images[1]}"
                 f" --out {by_hand}` and name their folder with --points, or let --fit derive them"
             )
-        image1, image2 = (Photograph(name=f"{pair_id}_{k}", path=image) for k, image in enumerate(images, 1))
-        pairs.append(
-            FoundPair(
-                pair_id=pair_id,
-                scene=pair_id,
-                image1=image1,
-                image2=image2,
-                difficulty=f"{difficulty}; {len(rows)} matches",
-                points=known,
-            )
-        )
+        one, two = (Photograph(name=f"{pair_id}_{k}", path=image) for k, image in enumerate(images, 1))
+        text = f"{difficulty}; {len(rows)} matches"
+        pairs.append(FoundPair(pair_id=pair_id, scene=pair_id, image1=one, image2=two, difficulty=text, points=known))
     if not pairs:
         raise DatasetError(f"{folder}: no {_USAC_MATCHES} in it or below")
     return pairs

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from epiprior_lab.pairsets import DatasetError
-from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of
-from epiprior_lab.pairsets.importers.progress import progress_bar
+from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of, progress_bar
 from epiprior_lab.pairsets.importers.pycolmap_run import Matched, mapping_options, matched
 from epiprior_lab.pairsets.importers.sources import SUFFIXES, files_of
 from epiprior_lab.pairsets.importers.structure import PairChoice, pairs_of_models
@@ -30,11 +29,8 @@ def find_photos(folder: Path, *, scene: str | None = None, choice: PairChoice | 
     that SIFT can link, directly or through others.
     """
     choice = choice or PairChoice()
-    photographs = [
-        Photograph(name=name_of(path.name), path=path)
-        for path in files_of(folder, "*")
-        if path.suffix.lower() in SUFFIXES
-    ]
+    paths = (path for path in files_of(folder, "*") if path.suffix.lower() in SUFFIXES)
+    photographs = [Photograph(name=name_of(path.name), path=path) for path in paths]
     if len(photographs) < _LEAST:
         raise DatasetError(f"{folder}: {len(photographs)} photographs, expected {_LEAST} or more")
     with matched(photographs) as found:
@@ -52,15 +48,11 @@ def _map(found: Matched) -> list[Any]:
     """Return the models of pycolmap's incremental mapping, the largest first; each has three photographs or more."""
     import pycolmap
 
+    database, images, scratch, photographs = found
     options = mapping_options()
     options.min_model_size, options.extract_colors = _LEAST, False
-    with progress_bar("structure from motion", len(found.photographs)) as advance:
+    with progress_bar("structure from motion", len(photographs)) as advance:
         models = pycolmap.incremental_mapping(
-            found.database,
-            found.images,
-            found.scratch,
-            options,
-            initial_image_pair_callback=advance,
-            next_image_callback=advance,
+            database, images, scratch, options, initial_image_pair_callback=advance, next_image_callback=advance
         )
     return sorted(models.values(), key=lambda model: -int(model.num_reg_images()))

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from epiprior_lab.pairsets import DatasetError
-from epiprior_lab.pairsets.importers.output import Photograph, check_photographs
-from epiprior_lab.pairsets.importers.progress import progress_bar
+from epiprior_lab.pairsets.importers.output import Photograph, check_photographs, progress_bar
 
 SEED = 0
 _FEATURES_SIDE = 1600

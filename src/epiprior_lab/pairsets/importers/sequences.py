@@ -46,11 +46,5 @@ def _pair(folder: Path, path: Path, number: int, stem: str) -> FoundPair:
         raise DatasetError(f"{path}: the matrix is singular")
     scene = folder.resolve().name
     first, other = (Photograph(name=f"{scene}_{k}", path=image_of(folder, stem.format(k), path)) for k in (1, number))
-    return FoundPair(
-        pair_id=f"{scene}_1_{number}",
-        scene=scene,
-        image1=first,
-        image2=other,
-        difficulty=_KINDS.get(scene[:2], ""),
-        homography=H,
-    )
+    pair_id, kind = f"{scene}_1_{number}", _KINDS.get(scene[:2], "")
+    return FoundPair(pair_id=pair_id, scene=scene, image1=first, image2=other, difficulty=kind, homography=H)

@@ -90,14 +90,9 @@ def _triangulate(found: Matched) -> Any:
             camera = found.photographs[image.name].camera
             assert camera is not None
             K = camera.K
-            pinhole = pycolmap.Camera(
-                model="PINHOLE",
-                width=camera.width,
-                height=camera.height,
-                params=[K[0, 0], K[1, 1], K[0, 2] + HALF_PIXEL, K[1, 2] + HALF_PIXEL],
-                camera_id=image.camera_id,
-                has_prior_focal_length=True,
-            )
+            params = [K[0, 0], K[1, 1], K[0, 2] + HALF_PIXEL, K[1, 2] + HALF_PIXEL]
+            pinhole = pycolmap.Camera(model="PINHOLE", width=camera.width, height=camera.height, params=params)
+            pinhole.camera_id, pinhole.has_prior_focal_length = image.camera_id, True
             known.update_camera(pinhole)
             reconstruction.add_camera_with_trivial_rig(pinhole)
             pose = pycolmap.Rigid3d(np.column_stack([camera.R, camera.t]))

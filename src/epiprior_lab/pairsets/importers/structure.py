@@ -33,14 +33,8 @@ _MOST_POINTS = 200
 class PairChoice:
     """Which pairs of photographs are taken; SettingsError if a value is out of its range.
 
-    Parameters
-    ----------
-    min_angle_deg, max_angle_deg : float
-        Range of the median angle between the rays to common points, degrees, in [0, 180].
-    min_shared : int
-        Common points that a pair has at least, >= 8.
-    max_pairs : int
-        Most pairs of a scene, >= 1; where there are more, they are taken evenly over the angles.
+    The median angle between the rays to common points is within the bounds, degrees in [0, 180]; there are at least
+    `min_shared` (>= 8) common points. Of more than `max_pairs` (>= 1) per scene, some are taken evenly over the angles.
     """
 
     min_angle_deg: float = 10.0
@@ -109,14 +103,10 @@ def views_of(reconstruction: Any, photograph_of: Callable[[str], Photograph], *,
             raise DatasetError(f"{path}: is {width} x {height}, its camera in the model {given.width} x {given.height}")
         seen = sorted({point.point3D_id for point in image.points2D if point.has_point3D()} & trusted.keys())
         camera, develop = _undistorted(image, path)
-        views.append(
-            View(
-                photograph=replace(photograph, name=prefix + photograph.name, camera=camera, develop=develop),
-                camera=camera,
-                point_ids=np.array(seen, dtype=np.int64),
-                points=np.array([trusted[point_id] for point_id in seen]).reshape(-1, 3),
-            )
-        )
+        photograph = replace(photograph, name=prefix + photograph.name, camera=camera, develop=develop)
+        points = np.array([trusted[point_id] for point_id in seen]).reshape(-1, 3)
+        ids = np.array(seen, dtype=np.int64)
+        views.append(View(photograph=photograph, camera=camera, point_ids=ids, points=points))
     return views
 
 
@@ -163,14 +153,9 @@ def choose_pairs(views: list[View], scene: str, choice: PairChoice) -> list[Foun
         points = _control_points(view1, view2, view1.points[at1])
         if choice.min_angle_deg <= angle <= choice.max_angle_deg and len(points[0]) >= choice.min_shared:
             text = f"angle={angle:.1f}deg;covis_points={len(shared)};overlap={len(shared) / fewest:.2f}"
-            pair = FoundPair(
-                pair_id=f"{view1.photograph.name}_{view2.photograph.name}",
-                scene=scene,
-                image1=view1.photograph,
-                image2=view2.photograph,
-                difficulty=text,
-                points=points,
-            )
+            one, two = view1.photograph, view2.photograph
+            name = f"{one.name}_{two.name}"
+            pair = FoundPair(pair_id=name, scene=scene, image1=one, image2=two, difficulty=text, points=points)
             found.append((angle, pair))
     if len(found) > choice.max_pairs:
         by_angle = np.argsort([angle for angle, _ in found], kind="stable")

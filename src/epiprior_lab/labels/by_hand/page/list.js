@@ -23,9 +23,8 @@ export function fillList(list, pairs, found, { selected, hovered }) {
     const residual = found?.residuals.get(pair.id);
     const row = document.createElement("li");
     row.dataset.id = pair.id;
-    row.classList.toggle("selected", pair.id === selected);
-    row.classList.toggle("hovered", pair.id === hovered);
-    row.classList.toggle("far", found?.farOff.has(pair.id) ?? false);
+    const states = { selected: pair.id === selected, hovered: pair.id === hovered, far: found?.farOff.has(pair.id) };
+    for (const [name, set] of Object.entries(states)) row.classList.toggle(name, set ?? false);
     row.style.setProperty("--colour", pairs.colour(pair.id));
     addCell(row, "span", "number", index + 1);
     const [first, second] = pair.points.map(([x, y]) => `${x.toFixed(1)}, ${y.toFixed(1)}`);
@@ -42,9 +41,7 @@ export function fillList(list, pairs, found, { selected, hovered }) {
 }
 
 function addCell(row, kind, name, text = "") {
-  const cell = document.createElement(kind);
-  cell.className = name;
-  cell.textContent = text;
+  const cell = Object.assign(document.createElement(kind), { className: name, textContent: text });
   row.append(cell);
   return cell;
 }

@@ -19,15 +19,9 @@ function redraw() {
   drawing = true;
   requestAnimationFrame(() => {
     drawing = false;
-    const scene = {
-      pairs: pairs.list,
-      pending: pairs.pending,
-      pendingColour: pairs.pendingColour,
-      farOff: found?.farOff ?? new Set(),
-      colour: (id) => pairs.colour(id),
-      strong: (id) => id === selected || id === hovered,
-      lines,
-    };
+    const { list, pending, pendingColour } = pairs;
+    const colour = (id) => pairs.colour(id), strong = (id) => id === selected || id === hovered;
+    const scene = { pairs: list, pending, pendingColour, farOff: found?.farOff ?? new Set(), colour, strong, lines };
     for (const pane of panes) pane.draw(scene);
   });
 }
@@ -112,25 +106,13 @@ async function fitAgain() {
 }
 
 function arranged(list, { F, residuals = [], far_off = [], one_plane: onePlane = false }) {
-  const far = list.filter((_, index) => far_off[index]);
-  return {
-    F,
-    onePlane,
-    residuals: new Map(F ? list.map(({ id }, index) => [id, residuals[index]]) : []),
-    farOff: new Set(far.map(({ id }) => id)),
-  };
+  const ids = list.map(({ id }) => id);
+  const farOff = new Set(ids.filter((_, index) => far_off[index]));
+  return { F, onePlane, farOff, residuals: new Map(F ? ids.map((id, index) => [id, residuals[index]]) : []) };
 }
 
-function select(id) {
-  selected = id;
-  refresh();
-}
-
-function remove(id) {
-  if (id === null) return;
-  pairs.remove(id);
-  changed();
-}
+const select = (id) => { selected = id; refresh(); };
+const remove = (id) => { if (id !== null) { pairs.remove(id); changed(); } };
 
 const events = {
   changed: redraw,
@@ -142,16 +124,12 @@ const events = {
     return refresh();
   },
   select: (id) => select(id === "pending" ? null : id),
-  place(side, xy) {
-    selected = pairs.place(side, xy);
-    changed();
-  },
+  place(side, xy) { selected = pairs.place(side, xy); changed(); },
   drag(side, id, [dx, dy], going) {
     const [x, y] = id === "pending" ? pairs.pending.xy : pairs.find(id).points[side];
     const xy = panes[side].clamp([x + dx, y + dy]);
     if (id === "pending") pairs.movePending(xy, going);
-    else pairs.move(id, side, xy, going);
-    if (id !== "pending") selected = id;
+    else { pairs.move(id, side, xy, going); selected = id; }
     changed();
   },
 };
@@ -166,11 +144,9 @@ async function save() {
   try {
     ({ revision } = await ask("save", { points, revision }));
   } catch (error) {
-    if (error.status === 409) {
-      say(`${error.message}.`, [["Save mine all the same", overwrite], ["Load that file instead", load]]);
-    } else {
-      say(`Not saved: ${error.message}`);
-    }
+    const offers = [["Save mine all the same", overwrite], ["Load that file instead", load]];
+    if (error.status === 409) say(`${error.message}.`, offers);
+    else say(`Not saved: ${error.message}`);
     return false;
   }
   say(null);
@@ -256,9 +232,7 @@ function listen() {
     event.preventDefault();
     act(event);
   });
-  addEventListener("beforeunload", (event) => {
-    if (pairs.dirty && !ended) event.preventDefault();
-  });
+  addEventListener("beforeunload", (event) => { if (pairs.dirty && !ended) event.preventDefault(); });
   const list = byId("list");
   const idOf = (event) => (event.target.closest("li") ? Number(event.target.closest("li").dataset.id) : null);
   list.addEventListener("click", (event) => {

@@ -7,16 +7,11 @@ const rounded = (xy) => xy.map((value) => Math.round(value * STEPS) / STEPS + 0)
 
 export class Pairs {
   // A pair: {id, points: [[x1, y1], [x2, y2]]}; pending: {side, xy}, a point without a partner.
-  constructor(points) {
-    this.next = 0;
-    this.replace(points);
-  }
+  constructor(points) { this.next = 0; this.replace(points); }
 
   replace(points) {
     const pairs = points.map(([x1, y1, x2, y2]) => ({ id: this.next++, points: [[x1, y1], [x2, y2]] }));
-    this.past = [];
-    this.future = [];
-    this.now = { pairs, pending: null };
+    Object.assign(this, { past: [], future: [], now: { pairs, pending: null } });
     this.markSaved();
   }
 
@@ -61,10 +56,7 @@ export class Pairs {
     if (this.find(id)) this.#follow({ ...this.now, pairs: this.now.pairs.filter((pair) => pair.id !== id) });
   }
 
-  dropPending() {
-    if (this.pending) this.#follow({ ...this.now, pending: null });
-  }
-
+  dropPending() { if (this.pending) this.#follow({ ...this.now, pending: null }); }
   undo() { this.#step(this.past, this.future); }
   redo() { this.#step(this.future, this.past); }
 

@@ -15,9 +15,7 @@ export class Pane {
     this.canvas = root.querySelector("canvas");
     this.where = root.querySelector(".where");
     this.paper = this.canvas.getContext("2d");
-    this.cursor = null; // canvas coordinates
-    this.press = null;
-    this.scene = null;
+    this.cursor = this.press = this.scene = null; // the cursor in canvas coordinates
     root.querySelector("h2 span").textContent = `${size.name}  ·  ${size.width} × ${size.height}`;
     new ResizeObserver(() => this.#resized()).observe(this.canvas);
     this.#resized();
@@ -63,10 +61,7 @@ export class Pane {
     this.#keepInSight();
   }
 
-  show(xy) {
-    this.scale = Math.max(this.scale, 2);
-    this.centreOn(xy);
-  }
+  show(xy) { this.scale = Math.max(this.scale, 2); this.centreOn(xy); }
 
   #keepInSight() {
     const kept = (start, seen, length) => Math.min(Math.max(start, seen / 2 - length), seen / 2);
@@ -98,10 +93,7 @@ export class Pane {
     on("pointerup", (event) => this.#released(event));
     on("pointercancel", () => { this.press = null; });
     on("contextmenu", (event) => event.preventDefault());
-    on("pointerleave", () => {
-      this.cursor = null;
-      this.on.hover(this.side, null);
-    });
+    on("pointerleave", () => { this.cursor = null; this.on.hover(this.side, null); });
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       const lines = event.deltaMode === 1 ? 33 : 1;
@@ -152,8 +144,7 @@ export class Pane {
     press.last = at;
     if (press.id === null) {
       this.canvas.classList.add("pan");
-      this.left += dx;
-      this.top += dy;
+      [this.left, this.top] = [this.left + dx, this.top + dy];
       this.#keepInSight();
     } else {
       this.on.drag(this.side, press.id, [dx / this.scale, dy / this.scale], going);
@@ -198,12 +189,9 @@ export class Pane {
   #stroke(colour, width, dash = []) {
     const { paper } = this;
     paper.setLineDash(dash);
-    paper.strokeStyle = "rgb(0 0 0 / .65)";
-    paper.lineWidth = width + 2;
-    paper.stroke();
-    paper.strokeStyle = colour;
-    paper.lineWidth = width;
-    paper.stroke();
+    for (const [strokeStyle, lineWidth] of [["rgb(0 0 0 / .65)", width + 2], [colour, width]]) {
+      Object.assign(paper, { strokeStyle, lineWidth }).stroke();
+    }
     paper.setLineDash([]);
   }
 
@@ -241,8 +229,7 @@ export class Pane {
     paper.fillStyle = far ? "#ff5a52" : colour;
     this.#rounded(left, top, wide, 15, 4);
     paper.fill();
-    paper.fillStyle = "#16181b";
-    paper.textBaseline = "middle";
+    Object.assign(paper, { fillStyle: "#16181b", textBaseline: "middle" });
     paper.fillText(text, left + 4, top + 8);
   }
 
