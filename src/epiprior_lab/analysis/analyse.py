@@ -12,8 +12,6 @@ On some pairs of every group, with several seeds, three experiments:
     Runs that know the truth, see `epiprior_lab.analysis.oracles`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -39,29 +37,12 @@ _BOTH = ("final", "sfm")  # by the model's probabilities; without a model
 
 
 def analyse_pair(
-    *,
-    pair: Pair,
-    group: str,
-    complete: bool,
-    settings: AnalysisSettings,
-    hand_overs: HandOvers,
-    labels: LabelSettings,
+    *, pair: Pair, group: str, complete: bool, settings: AnalysisSettings, hand_overs: HandOvers, labels: LabelSettings
 ) -> list[Record]:
-    """Compare the variants on one pair.
+    """Compare the variants on one pair with control points, and cameras or depths by which matches are labelled.
 
-    Parameters
-    ----------
-    pair : Pair
-        Pair with control points, and cameras or depths by which matches are labelled.
-    group : str
-        Leads every record.
-    complete : bool
-        False, for easy pairs, on which nearly everything succeeds: only the steps and X alone, the latter with all
-        estimators.
-    settings, hand_overs
-        As for `Bench`.
-    labels : LabelSettings
-        When a match is right.
+    Unless `complete`, for easy pairs, on which nearly everything succeeds: only the steps and X alone, the latter with
+    all estimators.
     """
     found = detect_pair(pair)
     paper, default = (
@@ -202,27 +183,13 @@ def analyse_pairs(
     workers: int = 1,
     store: Path | None = None,
 ) -> Analysis:
-    """Analyse the pairs of all groups in parallel; a run that was killed continues.
+    """Analyse the pairs of all groups in parallel, those in `complete` completely; a run that was killed continues.
 
-    Parameters
-    ----------
-    groups : mapping of str to sequence of Pair
-        Pairs of each group.
-    complete : collection of str
-        The groups that are analysed completely.
-    settings, hand_overs, labels
-        As for `analyse_pair`.
-    files : sequence of Path
-        What determines every result beside the pair's own images: the model files.
-    workers, store
-        As for `epiprior_lab.compute.tasks.map_tasks`.
+    `files` determine every result beside the pair's own images: the model files. `workers` and `store` are as for
+    `epiprior_lab.compute.tasks.map_tasks`.
     """
     names = (settings.estimator, settings.beyond, *settings.others)
-    common = {
-        "settings": settings,
-        "hand_overs": {name: dict(hand_overs[name]) for name in names},
-        "labels": labels,
-    }
+    common = {"settings": settings, "hand_overs": {name: dict(hand_overs[name]) for name in names}, "labels": labels}
     tasks = [
         Task(
             name=f"{group} {pair.pair_id}",

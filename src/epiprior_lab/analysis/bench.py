@@ -1,7 +1,5 @@
 """Where the variants of one pair are measured: estimates over seeds, and rankings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,22 +23,10 @@ HandOvers = Mapping[str, Mapping[str, HandOver]]
 class AnalysisSettings:
     """What is compared.
 
-    Parameters
-    ----------
-    estimator : str
-        Runs on every variant; the paper's of this analysis.
-    others : tuple of str
-        Run on sfm alone and on all measures of easy pairs, and on probabilities and true labels of the others.
-    beyond : str
-        The estimator that goes beyond the paper.
-    seeds : tuple of int
-        Repetitions of every estimate.
-    two_keypoint_counts : tuple of int
-        K_2kp of the ablation.
-    refined_hypotheses : int
-        How many of the truly best rough matrices an oracle refines.
-    success_px : float
-        Error below which a rough matrix counts as good.
+    `estimator` runs on every variant; `others` on sfm alone and on all measures of easy pairs, and on probabilities and
+    true labels of the others; `beyond` goes beyond the paper. `two_keypoint_counts` are K_2kp of the ablation. An
+    oracle refines `refined_hypotheses` of the truly best rough matrices; one with an error below `success_px` counts as
+    good.
     """
 
     estimator: str = "usac"
@@ -56,20 +42,9 @@ class AnalysisSettings:
 class Bench:
     """Where variants of one pair are measured.
 
-    Parameters
-    ----------
-    group, pair
-        Lead every record.
-    points : tuple of ndarray, shape (N, 2), float64
-        Control points of the pair, pixels.
-    factors : tuple of float
-        Given pixels per working pixel of both images.
-    settings : AnalysisSettings
-        Estimators and seeds.
-    hand_overs : mapping
-        ``hand_overs[estimator][input]``.
-    whole : tuple of Labelled
-        The sets of the preset `default`, by whose probabilities every F is scored.
+    `points` are its control points, (N, 2) twice, pixels; `factors` given pixels per working pixel of both images; the
+    hand-overs ``hand_overs[estimator][input]``. `whole` are the sets of the preset `default`, by whose probabilities
+    every F is scored.
     """
 
     group: str

@@ -4,8 +4,6 @@ A pair can be lost for three reasons: its putative matches hold too few right on
 fundamental matrices is good; or a good one is there and another is chosen. Each oracle takes away one of them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,16 +22,9 @@ _SURE = 0.99
 
 @dataclass(frozen=True, kw_only=True)
 class Labelled:
-    """A ranked set and the truth about it.
+    """A ranked set of one roll hypothesis, and which of its matches are right.
 
-    Parameters
-    ----------
-    matches : MatchSet
-        Of one roll hypothesis.
-    right : ndarray, shape (N,), bool
-        Which of its matches are right.
-    pixel : float
-        Given pixels per working pixel; thresholds are meant in working pixels.
+    `pixel` is given pixels per working pixel; thresholds are meant in working pixels.
     """
 
     matches: MatchSet
@@ -91,19 +82,9 @@ def score(F: FloatArray, matches: MatchSet, pixel: float = 1.0) -> float:
 
 
 def mean_errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
-    """Return the mean Sampson distance of the control points for each of many matrices.
+    """Return the mean Sampson distance of the control points for each matrix of `F`, shape (P, 3, 3).
 
-    Parameters
-    ----------
-    F : ndarray, shape (P, 3, 3), float64
-        Fundamental matrices.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Control points, pixels.
-
-    Returns
-    -------
-    ndarray, shape (P,), float64
-        ``inf`` where a point has no epipolar lines.
+    Points are pixels, (N, 2) twice; the mean is ``inf`` where a point has no epipolar lines.
     """
     h1 = np.column_stack([x1, np.ones(len(x1))])
     h2 = np.column_stack([x2, np.ones(len(x2))])

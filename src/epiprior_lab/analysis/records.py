@@ -1,10 +1,9 @@
 """The rows of the analysis: a field is a column."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import pandas as pd
 
@@ -17,16 +16,10 @@ NO_ESTIMATOR = "none"  # in the column `estimator`: a matrix that no estimator c
 class VariantRecord(Record):
     """One estimate of one variant of the method.
 
-    Parameters
-    ----------
-    experiment : str
-        ``steps``, ``ablation`` or ``oracle``, see `epiprior_lab.analysis.analyse`.
-    variant, ranking, estimator : str
-        What was replaced; by what matches were ordered; what ran on them.
-    error_px : float
-        Mean Sampson distance of the control points, whatever the status; NaN without F.
-    score : float
-        Support of F among the one-to-one matches of the preset `default`, weighted by their probabilities.
+    `experiment` is ``steps``, ``ablation`` or ``oracle``, see `epiprior_lab.analysis.analyse`; `variant` is what was
+    replaced, `ranking` by what matches were ordered, `estimator` what ran on them. `error_px` is the mean Sampson
+    distance of the control points, whatever the status, NaN without F; `score` the support of F among the one-to-one
+    matches of the preset `default`, weighted by their probabilities.
     """
 
     experiment: str
@@ -75,13 +68,13 @@ class Analysis:
     limits: pd.DataFrame
 
     @classmethod
-    def from_records(cls, records: Iterable[Record]) -> Analysis:
+    def from_records(cls, records: Iterable[Record]) -> Self:
         """Sort records into their tables; within each they keep their order."""
         found = list(records)
         return cls(**{n: to_frame(kind, (r for r in found if isinstance(r, kind))) for n, kind in RECORDS.items()})
 
     @classmethod
-    def read(cls, folder: Path) -> Analysis:
+    def read(cls, folder: Path) -> Self:
         """Read what `write` wrote; a missing file or column is a TableError that names it."""
         return cls(**{name: read_frame(kind, folder / f"{name}.csv") for name, kind in RECORDS.items()})
 

@@ -3,8 +3,6 @@
 Everything before the votes is computed once per pair and preset; the variants differ in what they do with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -32,18 +30,8 @@ Voter = Callable[[MatchFrames, TwoKeypointMatches, FloatArray, PreprocessSetting
 class Proposals:
     """What precedes the votes, for one pair and one preset.
 
-    Parameters
-    ----------
-    prepared : PreparedPair
-        Features and standard matches.
-    candidates : tuple of Candidates
-        X and the matches of 2keypoints, one for each roll hypothesis.
-    probabilities : tuple of ndarray
-        That each match of 2keypoints is right, for each roll hypothesis.
-    settings : PreprocessSettings
-        The preset.
-    model : RankingModel
-        Its model.
+    `candidates`, X and the matches of 2keypoints, and `probabilities`, that each of these is right, have one item for
+    each roll hypothesis.
     """
 
     prepared: PreparedPair
@@ -54,10 +42,7 @@ class Proposals:
 
 
 def propose(
-    images: tuple[View, View],
-    features: tuple[Features, Features],
-    settings: PreprocessSettings,
-    model: RankingModel,
+    images: tuple[View, View], features: tuple[Features, Features], settings: PreprocessSettings, model: RankingModel
 ) -> Proposals:
     """Run the method up to the probabilities of the matches of 2keypoints (sections 4.1 to 4.4)."""
     prepared = prepare_pair(*images, settings, features1=features[0], features2=features[1])
@@ -79,18 +64,9 @@ def ranked_sets(
 ) -> tuple[MatchSet, ...]:
     """Vote and rank (sections 4.5 and 4.6), one set for each roll hypothesis.
 
-    Parameters
-    ----------
-    proposals : Proposals
-        From `propose`.
-    settings : PreprocessSettings, optional
-        Of the votes, instead of the preset's.
-    voter : callable
-        `cast_votes`, or `oriented_votes`.
-    standard : bool
-        Whether X is united with X_L and X_B. False: X alone, whose matches then miss d_r and t_k as the paper says.
-        The model is the same, trained on the united matches; so are the matches of 2keypoints, whose coherence
-        depends on X_L and X_B as well.
+    `settings` of the votes replace the preset's. Without `standard`, X is not united with X_L and X_B; its matches then
+    miss d_r and t_k as the paper says. The model is the same, trained on the united matches; so are the matches of
+    2keypoints, whose coherence depends on X_L and X_B as well.
     """
     return tuple(
         rank_voted(
@@ -112,21 +88,13 @@ def _x_alone(found: Candidates) -> Candidates:
 
 
 def oriented_votes(
-    frames: MatchFrames,
-    pairs: TwoKeypointMatches,
-    probability: FloatArray,
-    settings: PreprocessSettings = DEFAULT,
+    frames: MatchFrames, pairs: TwoKeypointMatches, probability: FloatArray, settings: PreprocessSettings = DEFAULT
 ) -> Votes:
     """Make a rough F of every two oriented matches instead of every two matches of 2keypoints.
 
     A match stands for itself and three points around it by scale and orientation of its features, so that two of them
-    give eight points, as in BEEM (as we recall it); two matches of 2keypoints give sixteen.
-
-    Parameters
-    ----------
-    frames, pairs, probability, settings
-        As for `epiprior.ranking.hypothesis.cast_votes`. Taken are as many matches, those with the best matches of
-        2keypoints.
+    give eight points, as in BEEM (as we recall it); two matches of 2keypoints give sixteen. As many matches are taken,
+    those with the best matches of 2keypoints. Parameters as for `epiprior.ranking.hypothesis.cast_votes`.
     """
     best, _ = two_keypoint_scores(pairs, probability, len(frames))
     order = np.lexsort((np.arange(len(best)), -best))
@@ -142,13 +110,8 @@ def oriented_votes(
 def reordered(matches: MatchSet, ranking: str) -> MatchSet:
     """Return the matches in the order of one measure alone, its values instead of probabilities.
 
-    Parameters
-    ----------
-    matches : MatchSet
-        A ranked set.
-    ranking : str
-        ``2keypoint``, by the best match of 2keypoints, or ``sfm``, whose share of the matrices stands for the
-        probability. Matches without a positive value are left out. ``final``: the set as it is.
+    `ranking` is ``2keypoint``, by the best match of 2keypoints, or ``sfm``, whose share of the matrices stands for the
+    probability; matches without a positive value are left out. ``final``: the set as it is.
     """
     if ranking == "final":
         return matches
@@ -159,22 +122,7 @@ def reordered(matches: MatchSet, ranking: str) -> MatchSet:
 
 
 def supports(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> IntArray:
-    """Return how many matches support each matrix.
-
-    Parameters
-    ----------
-    F : ndarray, shape (P, 3, 3), float64
-        Fundamental matrices.
-    x1, x2 : ndarray, shape (M, 2), float64
-        Matches, pixels.
-    threshold_px : float
-        A match supports F if its Sampson distance is below this.
-
-    Returns
-    -------
-    ndarray, shape (P,), int64
-        0 to M.
-    """
+    """Return how many matches, (M, 2) twice, are within a Sampson distance of each matrix of `F`, shape (P, 3, 3)."""
     columns = as_columns(x1, x2)
     distance_sq, gradient_sq = np.empty((2, len(x1)))
     counts = np.zeros(len(F), np.int64)

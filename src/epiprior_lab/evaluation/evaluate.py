@@ -1,11 +1,8 @@
 """Estimators before and after preprocessing on the pairs of one set (paper, "General performance").
 
-Rendered scenes and photographs are pair sets alike: matches are made once per pair and kept in files, then rankings are
-labelled and every estimator runs on its inputs. Each pair, and each pair and estimator, is a task of its own, so that a
-run that was killed continues where it stopped.
+Matches are made once per pair and kept in files, then rankings are labelled and every estimator runs on its inputs.
+Each pair, and each pair and estimator, is a task of its own.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,20 +25,10 @@ def evaluate(
     store: Path | None = None,
     files: Sequence[Path] = (),
 ) -> Tables:
-    """Evaluate pairs in parallel; a run that was killed continues.
+    """Evaluate the pairs of one set, each with ground truth, in parallel; a run that was killed continues.
 
-    Parameters
-    ----------
-    pairs : sequence of Pair
-        Of one set, each with ground truth.
-    protocol : Protocol
-        What is evaluated.
-    group : str
-        Name of the set; it leads every row.
-    workers, store
-        As for `epiprior_lab.compute.tasks.map_tasks`.
-    files : sequence of Path
-        What decides every pair beside its own images: the model files.
+    `group`, the name of the set, leads every row. `files` decide every pair beside its own images: the model files.
+    `workers` and `store` are as for `epiprior_lab.compute.tasks.map_tasks`.
     """
     with match_folder(store) as folder:
         matched = store_matches(

@@ -1,7 +1,5 @@
 """Pair sets of one's own: X_L as in the paper, `snn` and `default`, each given to the same estimators."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -37,25 +35,11 @@ def evaluate_folder(
     store: Path | None = Path("data/.tasks/own"),
     console: Console | None = None,
 ) -> Tables:
-    """Evaluate pair sets, print a table, write the tables of `evaluate` and the page to a folder.
+    """Evaluate pair sets, print a table, and write the tables of `evaluate` to the folder `out`.
 
-    Parameters
-    ----------
-    folder : Path
-        A pair set in the uniform format, or a folder of them.
-    sets : sequence of str, optional
-        Names of the sets; all by default.
-    seeds : int
-        Repetitions of each estimate, >= 1.
-    out, store : Path
-        Where results go, and where those per pair are kept, so that a run that was killed continues.
-
-    Raises
-    ------
-    SettingsError
-        If `seeds` is below 1, or there is no such set or estimator.
-    DatasetError
-        If a set is damaged; nothing is skipped.
+    `folder` is a pair set in the uniform format or a folder of them; `sets` are their names, all by default. Results
+    per pair are kept in `store`, so that a run that was killed continues. SettingsError if `seeds` is below 1, or there
+    is no such set or estimator; DatasetError if a set is damaged: nothing is skipped.
     """
     if seeds < 1:
         raise SettingsError(f"seeds is {seeds}, expected at least 1")
@@ -92,10 +76,7 @@ def evaluate_folder(
 def find_sets(folder: Path, names: Sequence[str] | None = None) -> list[Path]:
     """Return the folders of pair sets in the order of `names`, or all by name; `folder` itself where it is one.
 
-    Raises
-    ------
-    SettingsError
-        If a named set is not there, or there is none at all; the message names it.
+    SettingsError if a named set is not there, or there is none at all; the message names it.
     """
     paths = [folder] if (folder / "pairs.csv").is_file() else [p.parent for p in sorted(folder.glob("*/pairs.csv"))]
     known = {path.resolve().name: path for path in paths}
@@ -110,12 +91,9 @@ def find_sets(folder: Path, names: Sequence[str] | None = None) -> list[Path]:
 def summarise(tables: Tables) -> pd.DataFrame:
     """Return one row per estimator and input.
 
-    Returns
-    -------
-    DataFrame
-        ``estimator, input, pairs``; ``precision_100``, the mean over labelled pairs; ``successes_<threshold>`` (pairs,
-        mean over seeds) and ``scene_share``, the share of successes at the first threshold per scene, mean over scenes:
-        pairs of one scene are alike, and some scenes have many.
+    ``precision_100`` is the mean over labelled pairs, ``successes_<threshold>`` counts pairs (mean over seeds), and
+    ``scene_share`` is the share of successes at the first threshold per scene, mean over scenes: some scenes have many
+    pairs, which are alike.
     """
     rates = Rates(tables)
     final = tables.rankings[tables.rankings["ranking"] == "final"]

@@ -6,8 +6,6 @@ ratio), ``blogs`` (X_B by similarity weight), ``2keypoint`` (by the best 2keypoi
 estimator leaves stored results as they are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,8 +27,7 @@ _TOP = 100
 def ranking_orders(matches: MatchSet) -> dict[str, IntArray]:
     """Return the indices of the matches that take part in each ranking, best first.
 
-    `matches` are X, X_L and X_B together, sorted by probability. Ties are broken by the features' indices, so that no
-    ranking profits from another.
+    `matches` are X, X_L and X_B together, sorted by probability. Ties are broken by the features' indices.
     """
 
     def order(score: np.ndarray[Any, Any], member: BoolArray) -> IntArray:

@@ -1,7 +1,5 @@
 """Runs of estimators on the inputs of a pair, and how far each is from the truth. The loop over both is here alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,22 +48,11 @@ def each_run(
     seeds: Sequence[int],
     hand_overs: Mapping[str, HandOver],
 ) -> Iterator[tuple[str, int, Result]]:
-    """Yield input, seed and outcome for all inputs in `matches`, and for each of them all seeds.
+    """Yield input, seed and outcome for all inputs in `matches`, and for each of them all `seeds`.
 
-    Parameters
-    ----------
-    run : callable
-        `estimate_from_matches`, or what takes the same; of the roll hypotheses the best supported F is kept.
-    matches : PairMatches
-        The inputs that the estimator gets.
-    pair_id : str
-        Each seed becomes a child seed of the pair, the same for every input, so that differences are paired.
-    estimator : str
-        Name in the registry. A deterministic one runs once, and its outcome is repeated.
-    seeds : sequence of int
-        One run each.
-    hand_overs : mapping of str to HandOver
-        Per input.
+    `run` is `estimate_from_matches`, or takes the same. Each seed becomes a child seed of the pair, the same for every
+    input, so that differences are paired. A deterministic estimator runs once, and its outcome is repeated.
+    `hand_overs` are per input.
     """
     different = seeds[:1] if is_deterministic(estimator) else seeds
     for name, sets in matches.sets.items():
@@ -109,12 +96,8 @@ def run_record(
 ) -> RunRecord:
     """Measure one estimate in every way that the truth of the pair allows.
 
-    Parameters
-    ----------
-    estimate : FundamentalEstimate
-        Its `raw_F` is measured, whatever its status: a strict verification would flatter the inputs that it spares.
-    threshold_px : float
-        Matches within it choose among the four poses of F, pixels.
+    Its `raw_F` is measured whatever its status: a strict verification would flatter the inputs that it spares. Matches
+    within `threshold_px` choose among the four poses of F.
     """
     F, cameras = estimate.raw_F, (pair.camera1, pair.camera2)
     mean = median = distance = rotation = translation = float("nan")

@@ -1,13 +1,9 @@
 """Successes and paired bootstrap intervals.
 
-Conventions: errors are pixels, ``inf`` or NaN where there is no fundamental matrix, which counts as a failure
-and never as missing; a success is an error strictly below the threshold; deviations over seeds are sample
-deviations.
-References: paper, "General performance"; Efron and Tibshirani, An Introduction to the Bootstrap, chapter 13
-(percentile intervals).
+Errors are pixels, ``inf`` or NaN where there is no fundamental matrix, which counts as a failure and never as missing;
+a success is an error strictly below the threshold; deviations over seeds are sample deviations. References: paper,
+"General performance"; Efron and Tibshirani, An Introduction to the Bootstrap, chapter 13 (percentile intervals).
 """
-
-from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
@@ -50,22 +46,11 @@ def contribution(without: ArrayLike, with_step: ArrayLike) -> FloatArray:
 
 
 def bootstrap_weights(n: int, *, draws: int, seed: int, groups: Sequence[str] | None = None) -> FloatArray:
-    """Return how often each of `n` pairs is drawn in each of `draws` bootstrap samples.
+    """Return how often each of `n` pairs is drawn in each of `draws` samples, as shares, shape (draws, n).
 
-    Parameters
-    ----------
-    groups : sequence of str, length n, optional
-        Scene of each pair: whole scenes are drawn, because pairs of one scene are alike; otherwise pairs.
-
-    Returns
-    -------
-    ndarray, shape (draws, n), float64
-        Each row sums to 1, so that ``weights @ values`` are the means of the samples.
-
-    Raises
-    ------
-    SettingsError
-        If `n` or `draws` is below 1, or `groups` has another length.
+    Each row sums to 1, so that ``weights @ values`` are the means of the samples. `groups` names the scene of each
+    pair: whole scenes are drawn, because pairs of one scene are alike; without it, pairs. SettingsError if `n` or
+    `draws` is below 1, or `groups` has another length.
     """
     if n < 1 or draws < 1:
         raise SettingsError(f"bootstrap of {n} observations in {draws} draws: both must be at least 1")
@@ -108,19 +93,10 @@ def paired_bootstrap(
     groups: Sequence[str] | None = None,
     level: float = 0.95,
 ) -> Comparison:
-    """Compare a measure of the same pairs without and with the preprocessing step.
+    """Compare a measure of the same pairs without and with the preprocessing step, resampled together.
 
-    Parameters
-    ----------
-    without, with_step : array_like, shape (N,)
-        One finite value per pair, in one order, N >= 1; for successes, the share of seeds that succeeded.
-    draws, seed, groups
-        As for `bootstrap_weights`; both sides are resampled together.
-
-    Raises
-    ------
-    SettingsError
-        If the two sides have different lengths.
+    Both hold one finite value per pair, shape (N,), N >= 1; for successes, the share of seeds that succeeded. `draws`,
+    `seed`, `groups` are as for `bootstrap_weights`. SettingsError if the two sides have different lengths.
     """
     a, b = np.asarray(without, np.float64), np.asarray(with_step, np.float64)
     if a.shape != b.shape or a.ndim != 1:
@@ -141,19 +117,9 @@ def successes(errors_px: ArrayLike, threshold_px: float) -> BoolArray:
 
 
 def success_curve(errors_px: ArrayLike, thresholds_px: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return the number of successful pairs as a function of the threshold.
+    """Return the number of successful pairs at each threshold: mean over seeds, and its sample deviation.
 
-    Parameters
-    ----------
-    errors_px : array_like, shape (P, S)
-        Error of each pair for each seed, pixels.
-    thresholds_px : array_like, shape (T,)
-        Thresholds, pixels.
-
-    Returns
-    -------
-    mean, deviation : ndarray, shape (T,), float64
-        Mean over seeds of the number of pairs, and its sample deviation (0 for a single seed).
+    `errors_px` has shape (pairs, seeds), pixels; the deviation is 0 for a single seed.
     """
     below = np.asarray(errors_px, np.float64)[None] < np.asarray(thresholds_px, np.float64)[:, None, None]
     counts = below.sum(axis=1).astype(np.float64)

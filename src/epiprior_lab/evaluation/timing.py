@@ -3,8 +3,6 @@
 One process, one pair at a time (after the paper's figure of time overhead); no result depends on these times.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

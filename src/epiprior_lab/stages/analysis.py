@@ -1,7 +1,5 @@
 """Stage `analysis`: what each part of the method contributes, what limits the results, and the paper's Table 1."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from epiprior.estimators.handover import load_hand_overs

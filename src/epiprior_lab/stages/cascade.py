@@ -1,7 +1,5 @@
 """Stage `cascade`: when an estimate without preprocessing is kept, chosen on validation scenes, tried on test pairs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd
