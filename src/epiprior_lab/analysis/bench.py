@@ -1,22 +1,19 @@
 """Where the variants of one pair are measured: estimates over seeds, and rankings."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from epiprior.estimators.handover import HandOver
 from epiprior.types import FloatArray, MatchSet
 from epiprior_lab.analysis.oracles import Labelled, score
 from epiprior_lab.analysis.records import NO_ESTIMATOR, PrecisionRecord, VariantRecord
 from epiprior_lab.evaluation.inputs import PairMatches
-from epiprior_lab.evaluation.runs import estimates
+from epiprior_lab.evaluation.runs import HandOvers, estimates
 from epiprior_lab.labels.ground_truth import errors_px
 from epiprior_lab.measures import average_precision, precision_at
 from epiprior_lab.pairsets import Pair
-
-HandOvers = Mapping[str, Mapping[str, HandOver]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,13 +62,8 @@ class Bench:
     ) -> Iterator[VariantRecord]:
         """Yield a record per seed: what the estimator makes of the sets, handed over as those of the input `kind`."""
         matches = PairMatches(sets={kind: tuple(sets)}, pixel_factors=self.factors)
-        for _, seed, found in estimates(
-            matches,
-            self.pair.pair_id,
-            estimator=estimator,
-            seeds=self.settings.seeds,
-            hand_overs=self.hand_overs[estimator],
-        ):
+        how, seeds = self.hand_overs[estimator], self.settings.seeds
+        for _, seed, found in estimates(matches, self.pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
             yield self._record(experiment, variant, ranking, estimator, seed, found.raw_F, str(found.status))
 
     def known(self, experiment: str, variant: str, ranking: str, F: FloatArray | None) -> Iterator[VariantRecord]:

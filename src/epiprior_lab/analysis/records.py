@@ -1,13 +1,11 @@
 """The rows of the analysis: a field is a column."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Self
+from typing import ClassVar
 
 import pandas as pd
 
-from epiprior_lab.evaluation.records import Record, read_frame, to_frame, write_frame
+from epiprior_lab.evaluation.records import Record, TableSet
 
 NO_ESTIMATOR = "none"  # in the column `estimator`: a matrix that no estimator chose
 
@@ -56,29 +54,11 @@ class LimitRecord(Record):
     good_rough_matrices: int
 
 
-RECORDS: dict[str, type[Record]] = {"variants": VariantRecord, "precision": PrecisionRecord, "limits": LimitRecord}
-
-
 @dataclass(frozen=True, kw_only=True)
-class Analysis:
-    """The tables of the analysis; each field is a CSV file of its name. `limits` holds groups analysed completely."""
+class Analysis(TableSet):
+    """The tables of the analysis; `limits` holds groups analysed completely."""
 
+    kinds: ClassVar = {"variants": VariantRecord, "precision": PrecisionRecord, "limits": LimitRecord}
     variants: pd.DataFrame
     precision: pd.DataFrame
     limits: pd.DataFrame
-
-    @classmethod
-    def from_records(cls, records: Iterable[Record]) -> Self:
-        """Sort records into their tables; within each they keep their order."""
-        found = list(records)
-        return cls(**{n: to_frame(kind, (r for r in found if isinstance(r, kind))) for n, kind in RECORDS.items()})
-
-    @classmethod
-    def read(cls, folder: Path) -> Self:
-        """Read what `write` wrote; a missing file or column is a TableError that names it."""
-        return cls(**{name: read_frame(kind, folder / f"{name}.csv") for name, kind in RECORDS.items()})
-
-    def write(self, folder: Path) -> None:
-        """Write the files to `folder`, made if absent."""
-        for name in RECORDS:
-            write_frame(getattr(self, name), folder / f"{name}.csv")

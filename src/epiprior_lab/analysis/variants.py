@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from epiprior.features.images import View
-from epiprior.geometry import as_columns
-from epiprior.kernels.sampson import squared_distances
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import DEFAULT, PreprocessSettings
 from epiprior.rank import rank_voted
@@ -20,13 +18,13 @@ from epiprior.ranking.models import RankingModel
 from epiprior.ranking.probabilities import Union, two_keypoint_scores
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
 from epiprior.ranking.votes import count_votes, frame_points, rough_fundamental_matrices
-from epiprior.types import Features, FloatArray, IntArray, MatchSet
+from epiprior.types import Features, FloatArray, MatchSet
 from epiprior_lab.evaluation.rankings import ranking_orders
 
 Voter = Callable[[MatchFrames, TwoKeypointMatches, FloatArray, PreprocessSettings], Votes]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Proposals:
     """What precedes the votes, for one pair and one preset.
 
@@ -47,12 +45,9 @@ def propose(
     """Run the method up to the probabilities of the matches of 2keypoints (sections 4.1 to 4.4)."""
     prepared = prepare_pair(*images, settings, features1=features[0], features2=features[1])
     candidates = tuple(find_candidates(prepared, roll, settings) for roll in roll_hypotheses(prepared, settings))
-    probabilities = tuple(
-        model.predict_two_keypoint(found.two_keypoints.select(model.two_keypoint_columns)) for found in candidates
-    )
-    return Proposals(
-        prepared=prepared, candidates=candidates, probabilities=probabilities, settings=settings, model=model
-    )
+    columns = model.two_keypoint_columns
+    probabilities = tuple(model.predict_two_keypoint(one.two_keypoints.select(columns)) for one in candidates)
+    return Proposals(prepared, candidates, probabilities, settings, model)
 
 
 def ranked_sets(
@@ -119,14 +114,3 @@ def reordered(matches: MatchSet, ranking: str) -> MatchSet:
     if ranking == "2keypoint":
         return replace(taken, probability=taken.two_keypoint_probability)
     return replace(taken, probability=taken.supporting_matrices / max(len(taken.rough_matrices), 1))
-
-
-def supports(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> IntArray:
-    """Return how many matches, (M, 2) twice, are within a Sampson distance of each matrix of `F`, shape (P, 3, 3)."""
-    columns = as_columns(x1, x2)
-    distance_sq, gradient_sq = np.empty((2, len(x1)))
-    counts = np.zeros(len(F), np.int64)
-    for k, matrix in enumerate(np.ascontiguousarray(F)):
-        squared_distances(matrix, columns, distance_sq, gradient_sq)
-        counts[k] = np.count_nonzero(distance_sq < threshold_px**2)
-    return counts

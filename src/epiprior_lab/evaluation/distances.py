@@ -15,22 +15,10 @@ def symmetric_distance(
     """Return the normalised symmetric geometric distance of two fundamental matrices, in either order.
 
     A random point of image 1 and a random point on its line under one matrix, where the line crosses image 2, are
-    measured by their distances to the epipolar lines of the other matrix. Then the matrices change places. Zhang,
-    Determining the epipolar geometry and its uncertainty, IJCV 1998; normalised as in FM-Bench (Bian et al., BMVC
-    2019).
-
-    Parameters
-    ----------
-    F, true_F : ndarray, shape (3, 3)
-    sizes : tuple of tuple of int
-        (width, height) of both images, pixels.
-    points, seed : int
-        Random points per direction, and the seed of the draw.
-
-    Returns
-    -------
-    float
-        In [0, 1]: mean distance in shares of an image's diagonal. 1 where no epipolar line meets the other image.
+    measured by their distances to the epipolar lines of the other matrix; then the matrices change places. `sizes` are
+    (width, height), pixels, and `points` is per direction. The mean distance is in shares of an image's diagonal, in
+    [0, 1]; 1 where no epipolar line meets the other image. Zhang, Determining the epipolar geometry and its
+    uncertainty, IJCV 1998; normalised as in FM-Bench (Bian et al., BMVC 2019).
     """
     rng = np.random.default_rng(seed)
     means = [_one_way(*matrices, sizes, points, rng) for matrices in ((F, true_F), (true_F, F))]

@@ -54,18 +54,12 @@ def evaluate_folder(
     protocol = Protocol(inputs=inputs, seeds=tuple(range(seeds)), hand_overs=hand_overs)
     model = sorted(path for path in find_model("default").iterdir() if path.is_file())
     found = find_hand_overs()
+    files, workers = (*model, *(() if found is None else (found,))), default_workers()
     parts = []
     for root in find_sets(folder, sets):
-        part = evaluate(
-            read_pair_set(root).pairs,
-            protocol,
-            group=root.name,
-            workers=default_workers(),
-            store=None if store is None else store / root.name,
-            files=(*model, *(() if found is None else (found,))),
-        )
-        console.print(summary(part, title=root.name))
-        parts.append(part)
+        pairs, kept = read_pair_set(root).pairs, None if store is None else store / root.name
+        parts.append(evaluate(pairs, protocol, group=root.name, workers=workers, store=kept, files=files))
+        console.print(summary(parts[-1], title=root.name))
     tables = Tables.join(parts)
     if len(parts) > 1:
         console.print(summary(tables, title="all sets"))
@@ -114,8 +108,8 @@ def summary(tables: Tables, *, title: str) -> Table:
     """Return a table for the terminal; the best number of each column is bold."""
     numbers = summarise(tables)
     table = Table(title=f"{title}, {len(tables.pairs)} pairs", title_justify="left")
-    for column in ("estimator", "input"):
-        table.add_column(column)
+    table.add_column("estimator")
+    table.add_column("input")
     formats = {"precision_100": ("top 100 right", "{:.2f}")}
     formats |= {f"successes_{t:g}": (f"below {t:g} px", "{:.1f}") for t in THRESHOLDS_PX}
     formats["scene_share"] = (f"{THRESHOLDS_PX[0]:g} px, per scene", "{:.0%}")

@@ -1,20 +1,15 @@
-"""What estimators are given: the matches of a pair, made in every way that is compared, once for all estimators.
+"""The matches of a pair that estimators are given, made in every way that is compared, once for all estimators.
 
-``standard``
-    X_L of the paper: nearest neighbours of plain SIFT by distance ratio; its baseline.
-``snn``
-    RootSIFT, mutual nearest neighbours, ratio below 0.85: the strongest simple pipeline of today.
-``generalized``
-    All matches above a similarity with low probabilities; what `generalized-ransac` gets in place of X_L.
-``paper``, ``default``
-    The ranked matches of the preset, one set per roll hypothesis.
-any other name
-    A peer: a ranker of others on the same features, made elsewhere. ``FOLDER/PEER/PAIR_ID.npz`` holds its matches, best
-    first: ``x1, x2`` of shape (N, 2), pixels of the images as given; ``scale1, scale2, orientation1_deg,
-    orientation2_deg`` of the features and ``feature1, feature2``, their indices; all of length N.
+- ``standard``: X_L of the paper, nearest neighbours of plain SIFT by distance ratio; its baseline.
+- ``snn``: RootSIFT, mutual nearest neighbours, ratio below 0.85; the strongest simple pipeline of today.
+- ``generalized``: all matches above a similarity with low probabilities; what `generalized-ransac` gets for X_L.
+- ``paper``, ``default``: the ranked matches of the preset, one set per roll hypothesis.
+- any other name: a peer, a ranker of others on the same features, made elsewhere. ``FOLDER/PEER/PAIR_ID.npz`` holds
+  its matches, best first: ``x1, x2`` of shape (N, 2), pixels of the images as given; ``scale1, scale2,
+  orientation1_deg, orientation2_deg`` of the features and ``feature1, feature2``, their indices; all of length N.
 
-Matches are kept in files, one per pair and input: each estimator needs a few inputs only. This module imports no
-estimator, so that a changed estimator leaves stored matches as they are.
+Matches are kept in files, one per pair and input. This module imports no estimator, so that a changed estimator leaves
+stored matches as they are.
 """
 
 from __future__ import annotations

@@ -106,15 +106,10 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
 
 def _calibration(key: dict[str, str], name: str, probability: FloatArray, right: BoolArray) -> list[CalibrationRecord]:
     sums = calibration_bins(probability, right)
+    bins = zip(sums.count, sums.right, sums.probability, sums.squared_error, strict=True)
     return [
         CalibrationRecord(
-            **key,
-            input=name,
-            bin=b,
-            count=int(sums.count[b]),
-            right=int(sums.right[b]),
-            probability=float(sums.probability[b]),
-            squared_error=float(sums.squared_error[b]),
+            **key, input=name, bin=b, count=int(n), right=int(hits), probability=float(p), squared_error=float(error)
         )
-        for b in range(len(sums.count))
+        for b, (n, hits, p, error) in enumerate(bins)
     ]

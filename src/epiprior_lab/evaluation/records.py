@@ -4,7 +4,7 @@ import types
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Self, get_type_hints
+from typing import Any, ClassVar, Self, get_type_hints
 
 import pandas as pd
 
@@ -175,36 +175,32 @@ def read_frame(record: type[Record], path: Path) -> pd.DataFrame:
     return table[list(columns)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tables:
-    """The results of an evaluation, one row per record; each field is a CSV file of its name."""
+class TableSet:
+    """Tables with one row per record; subclasses have a field, which is a CSV file, for each of `kinds`."""
 
-    pairs: pd.DataFrame
-    runs: pd.DataFrame
-    rankings: pd.DataFrame
-    calibration: pd.DataFrame
+    kinds: ClassVar[dict[str, type[Record]]]
 
     @classmethod
     def from_records(cls, records: Iterable[Record]) -> Self:
         """Sort records into their tables; within each they keep their order."""
-        parts: dict[type[Record], list[Record]] = {record: [] for record in RECORDS.values()}
+        parts: dict[type[Record], list[Record]] = {record: [] for record in cls.kinds.values()}
         for one in records:
             parts[type(one)].append(one)
-        return cls(**{name: to_frame(record, parts[record]) for name, record in RECORDS.items()})
+        return cls(**{name: to_frame(record, parts[record]) for name, record in cls.kinds.items()})
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
         """Return the rows of all `parts`, in their order."""
-        return cls(**{name: pd.concat([getattr(p, name) for p in parts], ignore_index=True) for name in RECORDS})
+        return cls(**{name: pd.concat([getattr(p, name) for p in parts], ignore_index=True) for name in cls.kinds})
 
     @classmethod
     def read(cls, folders: Sequence[Path]) -> Self:
         """Read what `write` wrote to each folder, one below the other; TableError names a bad file."""
-        return cls.join([cls(**{n: read_frame(r, f / f"{n}.csv") for n, r in RECORDS.items()}) for f in folders])
+        return cls.join([cls(**{n: read_frame(r, f / f"{n}.csv") for n, r in cls.kinds.items()}) for f in folders])
 
     def write(self, folder: Path) -> None:
         """Write the files to `folder`, made if absent."""
-        for name in RECORDS:
+        for name in self.kinds:
             write_frame(getattr(self, name), folder / f"{name}.csv")
 
 
@@ -214,3 +210,14 @@ RECORDS: dict[str, type[Record]] = {
     "rankings": RankingRecord,
     "calibration": CalibrationRecord,
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tables(TableSet):
+    """The results of an evaluation."""
+
+    kinds: ClassVar = RECORDS
+    pairs: pd.DataFrame
+    runs: pd.DataFrame
+    rankings: pd.DataFrame
+    calibration: pd.DataFrame

@@ -13,7 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from epiprior.errors import SettingsError
-from epiprior.types import BoolArray, FloatArray
+from epiprior.types import FloatArray
+
+_LEVEL = 0.95
+_TAILS = ((1 - _LEVEL) / 2, 1 - (1 - _LEVEL) / 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,29 +72,20 @@ def _weights(n: int, draws: int, seed: int, groups: tuple[str, ...] | None) -> F
     return weights
 
 
-def _interval(value: float, samples: FloatArray, level: float) -> Interval:
+def _interval(value: float, samples: FloatArray) -> Interval:
     """Take the quantiles without interpolation: a sample may be infinite."""
-    tail = (1 - level) / 2
-    low, high = np.quantile(samples, [tail, 1 - tail], method="inverted_cdf")
+    low, high = np.quantile(samples, _TAILS, method="inverted_cdf")
     return Interval(value=float(value), low=float(low), high=float(high))
 
 
-def bootstrap_mean(
-    values: ArrayLike, *, draws: int, seed: int, groups: Sequence[str] | None = None, level: float = 0.95
-) -> Interval:
+def bootstrap_mean(values: ArrayLike, *, draws: int, seed: int, groups: Sequence[str] | None = None) -> Interval:
     """Return the mean of `values`, one finite value per pair, and its interval, drawn as in `bootstrap_weights`."""
     v = np.asarray(values, np.float64)
-    return _interval(v.mean(), bootstrap_weights(len(v), draws=draws, seed=seed, groups=groups) @ v, level)
+    return _interval(v.mean(), bootstrap_weights(len(v), draws=draws, seed=seed, groups=groups) @ v)
 
 
 def paired_bootstrap(
-    without: ArrayLike,
-    with_step: ArrayLike,
-    *,
-    draws: int,
-    seed: int,
-    groups: Sequence[str] | None = None,
-    level: float = 0.95,
+    without: ArrayLike, with_step: ArrayLike, *, draws: int, seed: int, groups: Sequence[str] | None = None
 ) -> Comparison:
     """Compare a measure of the same pairs without and with the preprocessing step, resampled together.
 
@@ -104,16 +98,11 @@ def paired_bootstrap(
     weights = bootstrap_weights(len(a), draws=draws, seed=seed, groups=groups)
     means_a, means_b = weights @ a, weights @ b
     return Comparison(
-        without=_interval(a.mean(), means_a, level),
-        with_step=_interval(b.mean(), means_b, level),
-        difference=_interval((b - a).mean(), means_b - means_a, level),
-        contribution=_interval(float(contribution(a.mean(), b.mean())), contribution(means_a, means_b), level),
+        without=_interval(a.mean(), means_a),
+        with_step=_interval(b.mean(), means_b),
+        difference=_interval((b - a).mean(), means_b - means_a),
+        contribution=_interval(float(contribution(a.mean(), b.mean())), contribution(means_a, means_b)),
     )
-
-
-def successes(errors_px: ArrayLike, threshold_px: float) -> BoolArray:
-    """Return which errors are successes: strictly below the threshold, and a number."""
-    return np.asarray(np.asarray(errors_px, np.float64) < threshold_px)
 
 
 def success_curve(errors_px: ArrayLike, thresholds_px: ArrayLike) -> tuple[FloatArray, FloatArray]:

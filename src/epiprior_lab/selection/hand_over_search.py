@@ -21,7 +21,7 @@ from epiprior.types import EMPTY_MAPPING, FloatArray
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches, match_folder, store_matches
 from epiprior_lab.evaluation.runs import EstimatorInputs, each_run
-from epiprior_lab.evaluation.statistics import area_under_success_curve, successes
+from epiprior_lab.evaluation.statistics import area_under_success_curve
 from epiprior_lab.labels.ground_truth import errors_px
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import HandOverParams
@@ -63,14 +63,14 @@ class Trial:
 
         Both thresholds count alike: few pairs decide, and a choice by either alone would follow their noise.
         """
-        together = sum(int(successes(self.errors_px, threshold).sum()) for threshold in (SUCCESS_PX, STRICT_PX))
+        together = sum(int((self.errors_px < threshold).sum()) for threshold in (SUCCESS_PX, STRICT_PX))
         return together, round(area_under_success_curve(self.errors_px, SUCCESS_PX), 9)
 
     @property
     def pair_scores(self) -> FloatArray:
         """Per pair: successes below 10 px, below 3 px, and the area under the curve, in equal parts."""
         area = [area_under_success_curve(errors, SUCCESS_PX) for errors in self.errors_px]
-        both = [successes(self.errors_px, threshold).mean(axis=1) for threshold in (SUCCESS_PX, STRICT_PX)]
+        both = [(self.errors_px < threshold).mean(axis=1) for threshold in (SUCCESS_PX, STRICT_PX)]
         return np.asarray(np.mean([area, *both], axis=0))
 
     def gains_on(self, other: Self) -> bool:
@@ -85,10 +85,7 @@ def trial_table(best: Mapping[Place, Trial], trials: Sequence[Trial]) -> pd.Data
     rows = []
     for trial in trials:
         pairs, seeds = trial.errors_px.shape
-        counts = {
-            f"successes_{threshold:g}": int(successes(trial.errors_px, threshold).sum()) / seeds
-            for threshold in (SUCCESS_PX, STRICT_PX)
-        }
+        counts = {f"successes_{t:g}": int((trial.errors_px < t).sum()) / seeds for t in (SUCCESS_PX, STRICT_PX)}
         rows.append(
             {"estimator": trial.estimator, "input": trial.input, "step": trial.step, **asdict(trial.how)}
             | {"pairs": pairs, **counts, "area": trial.score[1]}
@@ -164,16 +161,11 @@ def search_hand_overs(
             for estimator, candidates in planned.items():
                 names = tuple(dict.fromkeys(name for name, _ in candidates))
                 before = {name: best[estimator, name] for name in names if (estimator, name) in best}
+                common = {"estimator": estimator, "candidates": tuple(candidates), "seeds": params.seeds}
                 for k, (pair, matches) in enumerate(zip(pairs, matched, strict=True)):
                     needed = matches.only(names)
-                    payload = {
-                        "pair": pair,
-                        "matches": needed,
-                        "estimator": estimator,
-                        "candidates": tuple(candidates),
-                        "seeds": params.seeds,
-                        "known": {name: (t.how, tuple(t.errors_px[k].tolist())) for name, t in before.items()},
-                    }
+                    known = {name: (t.how, tuple(t.errors_px[k].tolist())) for name, t in before.items()}
+                    payload = {"pair": pair, "matches": needed, "known": known, **common}
                     files = (*pair.files, *needed.paths.values())
                     tasks.append(Task(name=f"{pair.pair_id} {estimator} {step}", payload=payload, files=files))
             description = f"hand-over, step {step + 1}"
