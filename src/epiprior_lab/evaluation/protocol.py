@@ -61,10 +61,7 @@ def pairs_of(evaluate: EvaluateParams, group: str) -> tuple[Pair, ...]:
     return read_pair_set(evaluate.pairs_of(group), evaluate.control_points_of(group)).pairs
 
 
-def validation_pairs(families: Sequence[str], data: Path = Path("data")) -> dict[str, tuple[Pair, ...]]:
+def validation_pairs(families: Sequence[str]) -> dict[str, tuple[Pair, ...]]:
     """Return the rendered validation pairs by family, with their control points."""
-    points = data / "ground_truth" / "validation"
-    return {
-        family: read_pair_set(data / "scenes" / "validation" / family, points / family / "control_points").pairs
-        for family in families
-    }
+    scenes, points = Path("data/scenes/validation"), Path("data/ground_truth/validation")
+    return {name: read_pair_set(scenes / name, points / name / "control_points").pairs for name in families}

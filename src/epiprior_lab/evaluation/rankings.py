@@ -53,12 +53,6 @@ def walked(matches: MatchSet, order: IntArray) -> IntArray:
     return np.asarray(order[one_to_one_mask(matches.feature1[order], matches.feature2[order])])
 
 
-def roll_differences(matches: MatchSet) -> FloatArray:
-    """Return the differences of orientations in X_L and X_B, degrees: what the roll is read from (section 4.2)."""
-    standard = (matches.distance_ratio < 1) | (matches.similarity_weight > 0)
-    return orientation_differences(matches.orientation1_deg, matches.orientation2_deg)[standard]
-
-
 def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSettings) -> list[Record]:
     """Return the records of a pair, its rankings and their calibration; the last two only for a labelled pair.
 
@@ -89,7 +83,11 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
             )
         if name in PRESETS:
             records += _calibration(key, name, ranked.probability, right)
-    rolled = len(sets["default"][0]) > 0 if "default" in sets else False
+    roll = float("nan")
+    if "default" in sets and len(sets["default"][0]):  # read from the matches of X_L and X_B (section 4.2)
+        ranked = sets["default"][0]
+        standard = (ranked.distance_ratio < 1) | (ranked.similarity_weight > 0)
+        roll = float(expected_roll(orientation_differences(ranked.orientation1_deg, ranked.orientation2_deg)[standard]))
     about = PairRecord(
         **key,
         features1=matches.features[0],
@@ -99,7 +97,7 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
         right_share=share,
         difficulty=truth.difficulty(share),
         true_roll_deg=true_roll_deg(pair),
-        expected_roll_deg=float(expected_roll(roll_differences(sets["default"][0]))) if rolled else float("nan"),
+        expected_roll_deg=roll,
     )
     return [about, *records]
 
