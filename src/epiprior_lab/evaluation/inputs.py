@@ -110,7 +110,8 @@ def store_matches(
     """Match pairs in parallel and keep their matches in files in `folder`; a killed run continues.
 
     `inputs`, at least one, are names out of `INPUTS` or of peers, whose folder is `peers`. `files` decide the matches
-    beside the pairs' own images: the model files. DatasetError if a peer's file is missing or damaged.
+    beside the pairs' own images: the model files. DatasetError if there is no such folder, or a file in it is missing
+    or damaged.
     """
     own = tuple(name for name in inputs if name in INPUTS)
     others = [name for name in inputs if name not in INPUTS]

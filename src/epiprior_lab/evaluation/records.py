@@ -110,7 +110,7 @@ class TimingRecord(Record):
 
     `input` is as in `RunRecord`, or `CASCADE`: without preprocessing first, and with it where that is turned down.
     Seconds are those of both images' features, from features to (ranked) matches, from matches to F, and of all.
-    `preprocessed` is whether matches were ranked.
+    `preprocessed` is whether matches were ranked; for the cascade, whether it came to that.
     """
 
     estimator: str
