@@ -1,18 +1,11 @@
 """Which part of the method contributes what, and what limits its results (paper, "Analysis", and beyond).
 
-On some pairs of every group, with several seeds, three experiments:
-
-``steps``
-    The paper's figure: standard input, ranking by 2keypoints, the best single rough F, sfm alone, all measures as
-    printed (`paper`), and beyond it the preset `default`, and `default` with another estimator (`beyond`).
-``ablation``
-    The preset `default` with one part replaced. Its model was trained with all parts in place; so each variant is also
-    ranked by sfm alone, which uses no model.
-``oracle``
-    Runs that know the truth, see `epiprior_lab.analysis.oracles`.
+On some pairs of every group, with several seeds, three experiments. ``steps`` are the paper's figure: standard input,
+ranking by 2keypoints, the best single rough F, sfm alone, all measures as printed (`paper`), and beyond it the preset
+`default`, also with another estimator (`beyond`). In ``ablation`` the preset `default` has one part replaced; its model
+was trained with all parts in place, so each variant is also ranked by sfm alone, which uses no model. ``oracle`` are
+runs that know the truth, see `epiprior_lab.analysis.oracles`.
 """
-
-from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epiprior.geometry import sampson_distance
 from epiprior.matching.baselines import standard_set
 from epiprior.presets import find_preset
 from epiprior.ranking.hypothesis import Candidates, cast_votes
@@ -28,7 +22,7 @@ from epiprior.types import FloatArray, MatchSet
 from epiprior_lab.analysis import oracles
 from epiprior_lab.analysis.bench import AnalysisSettings, Bench, HandOvers
 from epiprior_lab.analysis.records import Analysis, LimitRecord, VariantRecord
-from epiprior_lab.analysis.variants import Proposals, oriented_votes, propose, ranked_sets, reordered, supports
+from epiprior_lab.analysis.variants import Proposals, oriented_votes, propose, ranked_sets, reordered
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.records import Record
 from epiprior_lab.features.detection import detect_pair
@@ -39,34 +33,16 @@ _BOTH = ("final", "sfm")  # by the model's probabilities; without a model
 
 
 def analyse_pair(
-    *,
-    pair: Pair,
-    group: str,
-    complete: bool,
-    settings: AnalysisSettings,
-    hand_overs: HandOvers,
-    labels: LabelSettings,
+    *, pair: Pair, group: str, complete: bool, settings: AnalysisSettings, hand_overs: HandOvers, labels: LabelSettings
 ) -> list[Record]:
-    """Compare the variants on one pair.
+    """Compare the variants on one pair with control points, and cameras or depths by which matches are labelled.
 
-    Parameters
-    ----------
-    pair : Pair
-        Pair with control points, and cameras or depths by which matches are labelled.
-    group : str
-        Leads every record.
-    complete : bool
-        False, for easy pairs, on which nearly everything succeeds: only the steps and X alone, the latter with all
-        estimators.
-    settings, hand_overs
-        As for `Bench`.
-    labels : LabelSettings
-        When a match is right.
+    Unless `complete`, for easy pairs, on which nearly everything succeeds: only the steps and X alone, the latter with
+    all estimators.
     """
     found = detect_pair(pair)
-    paper, default = (
-        propose(found.photographs, found.features, find_preset(name), load_model(name)) for name in ("paper", "default")
-    )
+    images, features = found.photographs, found.features
+    paper, default = (propose(images, features, find_preset(n), load_model(n)) for n in ("paper", "default"))
     whole = ranked_sets(default)
     pixel = float(np.sqrt(found.pixel_factors[0] * found.pixel_factors[1]))
     right = [label_matches(pair, m.x1, m.x2, m.scale1, m.scale2, settings=labels) for m in whole]
@@ -118,10 +94,11 @@ def _largest_support(proposals: Proposals, sets: Sequence[MatchSet]) -> tuple[Fl
         # X and the limit are in working pixels, the matrices of the set in given ones.
         D1, D2 = (np.linalg.inv(to_working) for to_working in proposals.prepared.to_working)
         F = D2.T @ matches.rough_matrices @ D1
-        counts = supports(F, found.frames.x1, found.frames.x2, proposals.settings.vote_threshold)
-        if len(counts) and counts.max() > most:
-            most = int(counts.max())
-            best, chosen = matches.rough_matrices[counts.argmax()], matches
+        x1, x2, limit = found.frames.x1, found.frames.x2, proposals.settings.vote_threshold
+        counts = [int(np.count_nonzero(sampson_distance(one, x1, x2) < limit)) for one in F]
+        if counts and max(counts) > most:
+            most = max(counts)
+            best, chosen = matches.rough_matrices[counts.index(most)], matches
     return best, chosen
 
 
@@ -151,23 +128,21 @@ def _oracles(bench: Bench, proposals: Proposals, ours: Mapping[str, list[Variant
     told = [oracles.labels_first(each) for each in bench.whole]
     for estimator in ours:
         yield from bench.estimated("oracle", "true labels", "final", told, estimator, "default")
-    rough, refined, fits, refits = [], [], [], []
+    rough, refined, fits, refits, errors = [], [], [], [], []
     for each in bench.whole:
-        hypotheses, _ = oracles.best_hypotheses(each, bench.points, bench.settings.refined_hypotheses)
+        errors.append(np.array([bench.error_px(F) for F in each.matches.rough_matrices]))
+        order = np.argsort(errors[-1], kind="stable")[: bench.settings.refined_hypotheses]
+        hypotheses = each.matches.rough_matrices[order]
         rough += list(hypotheses[:1])
         refined += [oracles.refine_on_all(F, each.matches, each.pixel) for F in hypotheses]
         fit = oracles.fit_right(each)
         if fit is not None:
             fits.append(fit)
             refits.append(oracles.refine_on_all(fit, each.matches, each.pixel))
-    for variant, matrices in (
-        ("right matches", fits),
-        ("right matches, refined on all", refits),
-        ("best rough F", rough),
-        ("best rough F, refined on all", refined),
-    ):
+    known = {"right matches": fits, "right matches, refined on all": refits}
+    known |= {"best rough F": rough, "best rough F, refined on all": refined}
+    for variant, matrices in known.items():
         yield from bench.known("oracle", variant, "final", min(matrices, key=bench.error_px, default=None))
-    errors = [oracles.mean_errors_px(each.matches.rough_matrices, *bench.points) for each in bench.whole]
     among_x = [_in_x(proposals, found, each) for found, each in zip(proposals.candidates, bench.whole, strict=True)]
     yield LimitRecord(
         **bench.key,
@@ -183,9 +158,8 @@ def _in_x(proposals: Proposals, candidates: Candidates, labelled: oracles.Labell
     """Return the matches of X, without those that only X_L or X_B proposed."""
     X, matches = candidates.X, labelled.matches
     # X counts locations, a set the first feature of each.
-    x1, x2 = (
-        place.first[rows] for place, rows in zip(proposals.prepared.locations, (X.feature1, X.feature2), strict=True)
-    )
+    place1, place2 = proposals.prepared.locations
+    x1, x2 = place1.first[X.feature1], place2.first[X.feature2]
     width = 1 + int(max(x2.max(initial=0), matches.feature2.max(initial=0)))
     inside = np.isin(matches.feature1 * width + matches.feature2, x1 * width + x2)
     return replace(labelled, matches=matches.take(inside), right=labelled.right[inside])
@@ -202,35 +176,17 @@ def analyse_pairs(
     workers: int = 1,
     store: Path | None = None,
 ) -> Analysis:
-    """Analyse the pairs of all groups in parallel; a run that was killed continues.
+    """Analyse the pairs of all groups in parallel, those in `complete` completely; a run that was killed continues.
 
-    Parameters
-    ----------
-    groups : mapping of str to sequence of Pair
-        Pairs of each group.
-    complete : collection of str
-        The groups that are analysed completely.
-    settings, hand_overs, labels
-        As for `analyse_pair`.
-    files : sequence of Path
-        What determines every result beside the pair's own images: the model files.
-    workers, store
-        As for `epiprior_lab.compute.tasks.map_tasks`.
+    `files` determine every result beside the pair's own images: the model files. `workers` and `store` are as for
+    `epiprior_lab.compute.tasks.map_tasks`.
     """
     names = (settings.estimator, settings.beyond, *settings.others)
-    common = {
-        "settings": settings,
-        "hand_overs": {name: dict(hand_overs[name]) for name in names},
-        "labels": labels,
-    }
-    tasks = [
-        Task(
-            name=f"{group} {pair.pair_id}",
-            payload={"pair": pair, "group": group, "complete": group in complete, **common},
-            files=(*pair.files, *files),
-        )
-        for group, pairs in groups.items()
-        for pair in pairs
-    ]
+    common = {"settings": settings, "hand_overs": {name: dict(hand_overs[name]) for name in names}, "labels": labels}
+    tasks = []
+    for group, pairs in groups.items():
+        for pair in pairs:
+            payload = {"pair": pair, "group": group, "complete": group in complete, **common}
+            tasks.append(Task(name=f"{group} {pair.pair_id}", payload=payload, files=(*pair.files, *files)))
     found = map_tasks(analyse_pair, tasks, workers=workers, description="analyse", store=store)
     return Analysis.from_records(record for records in found for record in records)

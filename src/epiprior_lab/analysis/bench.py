@@ -1,46 +1,29 @@
 """Where the variants of one pair are measured: estimates over seeds, and rankings."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from epiprior.estimators.handover import HandOver
 from epiprior.types import FloatArray, MatchSet
 from epiprior_lab.analysis.oracles import Labelled, score
 from epiprior_lab.analysis.records import NO_ESTIMATOR, PrecisionRecord, VariantRecord
 from epiprior_lab.evaluation.inputs import PairMatches
-from epiprior_lab.evaluation.runs import estimates
+from epiprior_lab.evaluation.runs import HandOvers, estimates
 from epiprior_lab.labels.ground_truth import errors_px
 from epiprior_lab.measures import average_precision, precision_at
 from epiprior_lab.pairsets import Pair
-
-HandOvers = Mapping[str, Mapping[str, HandOver]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class AnalysisSettings:
     """What is compared.
 
-    Parameters
-    ----------
-    estimator : str
-        Runs on every variant; the paper's of this analysis.
-    others : tuple of str
-        Run on sfm alone and on all measures of easy pairs, and on probabilities and true labels of the others.
-    beyond : str
-        The estimator that goes beyond the paper.
-    seeds : tuple of int
-        Repetitions of every estimate.
-    two_keypoint_counts : tuple of int
-        K_2kp of the ablation.
-    refined_hypotheses : int
-        How many of the truly best rough matrices an oracle refines.
-    success_px : float
-        Error below which a rough matrix counts as good.
+    `estimator` runs on every variant; `others` on sfm alone and on all measures of easy pairs, and on probabilities and
+    true labels of the others; `beyond` goes beyond the paper. `two_keypoint_counts` are K_2kp of the ablation. An
+    oracle refines `refined_hypotheses` of the truly best rough matrices; one with an error below `success_px` counts as
+    good.
     """
 
     estimator: str = "usac"
@@ -56,20 +39,9 @@ class AnalysisSettings:
 class Bench:
     """Where variants of one pair are measured.
 
-    Parameters
-    ----------
-    group, pair
-        Lead every record.
-    points : tuple of ndarray, shape (N, 2), float64
-        Control points of the pair, pixels.
-    factors : tuple of float
-        Given pixels per working pixel of both images.
-    settings : AnalysisSettings
-        Estimators and seeds.
-    hand_overs : mapping
-        ``hand_overs[estimator][input]``.
-    whole : tuple of Labelled
-        The sets of the preset `default`, by whose probabilities every F is scored.
+    `points` are its control points, (N, 2) twice, pixels; `factors` given pixels per working pixel of both images; the
+    hand-overs ``hand_overs[estimator][input]``. `whole` are the sets of the preset `default`, by whose probabilities
+    every F is scored.
     """
 
     group: str
@@ -90,13 +62,8 @@ class Bench:
     ) -> Iterator[VariantRecord]:
         """Yield a record per seed: what the estimator makes of the sets, handed over as those of the input `kind`."""
         matches = PairMatches(sets={kind: tuple(sets)}, pixel_factors=self.factors)
-        for _, seed, found in estimates(
-            matches,
-            self.pair.pair_id,
-            estimator=estimator,
-            seeds=self.settings.seeds,
-            hand_overs=self.hand_overs[estimator],
-        ):
+        how, seeds = self.hand_overs[estimator], self.settings.seeds
+        for _, seed, found in estimates(matches, self.pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
             yield self._record(experiment, variant, ranking, estimator, seed, found.raw_F, str(found.status))
 
     def known(self, experiment: str, variant: str, ranking: str, F: FloatArray | None) -> Iterator[VariantRecord]:

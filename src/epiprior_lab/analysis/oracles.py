@@ -4,8 +4,6 @@ A pair can be lost for three reasons: its putative matches hold too few right on
 fundamental matrices is good; or a good one is there and another is chosen. Each oracle takes away one of them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,23 +15,16 @@ from epiprior.geometry import (
     refine_fundamental,
     weighted_score,
 )
-from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
+from epiprior.types import BoolArray, FloatArray, MatchSet
 
 _SURE = 0.99
 
 
 @dataclass(frozen=True, kw_only=True)
 class Labelled:
-    """A ranked set and the truth about it.
+    """A ranked set of one roll hypothesis, and which of its matches are right.
 
-    Parameters
-    ----------
-    matches : MatchSet
-        Of one roll hypothesis.
-    right : ndarray, shape (N,), bool
-        Which of its matches are right.
-    pixel : float
-        Given pixels per working pixel; thresholds are meant in working pixels.
+    `pixel` is given pixels per working pixel; thresholds are meant in working pixels.
     """
 
     matches: MatchSet
@@ -78,47 +69,11 @@ def refine_on_all(F: FloatArray, matches: MatchSet, pixel: float = 1.0) -> Float
 
 
 def _refined(F: FloatArray, matches: MatchSet, weights: FloatArray, pixel: float) -> FloatArray:
-    thresholds = [pixel * t for t in SHRINKING_THRESHOLDS_PX]
-    return refine_fundamental(
-        F, matches.x1, matches.x2, weights, thresholds, score_threshold_px=pixel * SCORE_THRESHOLD_PX
-    )
+    thresholds, limit = [pixel * t for t in SHRINKING_THRESHOLDS_PX], pixel * SCORE_THRESHOLD_PX
+    return refine_fundamental(F, matches.x1, matches.x2, weights, thresholds, score_threshold_px=limit)
 
 
 def score(F: FloatArray, matches: MatchSet, pixel: float = 1.0) -> float:
     """Return the support of F among all one-to-one matches, weighted by their probabilities."""
     wide = matches.one_to_one()
     return weighted_score(F, wide.x1, wide.x2, wide.probability, pixel * SCORE_THRESHOLD_PX)
-
-
-def mean_errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
-    """Return the mean Sampson distance of the control points for each of many matrices.
-
-    Parameters
-    ----------
-    F : ndarray, shape (P, 3, 3), float64
-        Fundamental matrices.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Control points, pixels.
-
-    Returns
-    -------
-    ndarray, shape (P,), float64
-        ``inf`` where a point has no epipolar lines.
-    """
-    h1 = np.column_stack([x1, np.ones(len(x1))])
-    h2 = np.column_stack([x2, np.ones(len(x2))])
-    line2 = h1 @ np.swapaxes(F, 1, 2)
-    line1 = h2 @ F
-    gradient = np.sqrt((line2[:, :, :2] ** 2).sum(axis=2) + (line1[:, :, :2] ** 2).sum(axis=2))
-    algebraic = np.abs((line2 * h2).sum(axis=2))
-    distance = np.divide(algebraic, gradient, out=np.full_like(algebraic, np.inf), where=gradient > 0)
-    return np.asarray(distance.mean(axis=1))
-
-
-def best_hypotheses(
-    labelled: Labelled, points: tuple[FloatArray, FloatArray], count: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return at most `count` rough matrices of the smallest true errors, ascending, and these errors in pixels."""
-    errors = mean_errors_px(labelled.matches.rough_matrices, *points)
-    order: IntArray = np.argsort(errors, kind="stable")[:count]
-    return labelled.matches.rough_matrices[order], errors[order]

@@ -1,14 +1,11 @@
 """The rows of the analysis: a field is a column."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from typing import ClassVar
 
 import pandas as pd
 
-from epiprior_lab.evaluation.records import Record, read_frame, to_frame, write_frame
+from epiprior_lab.evaluation.records import Record, TableSet
 
 NO_ESTIMATOR = "none"  # in the column `estimator`: a matrix that no estimator chose
 
@@ -17,16 +14,10 @@ NO_ESTIMATOR = "none"  # in the column `estimator`: a matrix that no estimator c
 class VariantRecord(Record):
     """One estimate of one variant of the method.
 
-    Parameters
-    ----------
-    experiment : str
-        ``steps``, ``ablation`` or ``oracle``, see `epiprior_lab.analysis.analyse`.
-    variant, ranking, estimator : str
-        What was replaced; by what matches were ordered; what ran on them.
-    error_px : float
-        Mean Sampson distance of the control points, whatever the status; NaN without F.
-    score : float
-        Support of F among the one-to-one matches of the preset `default`, weighted by their probabilities.
+    `experiment` is ``steps``, ``ablation`` or ``oracle``, see `epiprior_lab.analysis.analyse`; `variant` is what was
+    replaced, `ranking` by what matches were ordered, `estimator` what ran on them. `error_px` is the mean Sampson
+    distance of the control points, whatever the status, NaN without F; `score` the support of F among the one-to-one
+    matches of the preset `default`, weighted by their probabilities.
     """
 
     experiment: str
@@ -63,29 +54,11 @@ class LimitRecord(Record):
     good_rough_matrices: int
 
 
-RECORDS: dict[str, type[Record]] = {"variants": VariantRecord, "precision": PrecisionRecord, "limits": LimitRecord}
-
-
 @dataclass(frozen=True, kw_only=True)
-class Analysis:
-    """The tables of the analysis; each field is a CSV file of its name. `limits` holds groups analysed completely."""
+class Analysis(TableSet):
+    """The tables of the analysis; `limits` holds groups analysed completely."""
 
+    kinds: ClassVar = {"variants": VariantRecord, "precision": PrecisionRecord, "limits": LimitRecord}
     variants: pd.DataFrame
     precision: pd.DataFrame
     limits: pd.DataFrame
-
-    @classmethod
-    def from_records(cls, records: Iterable[Record]) -> Analysis:
-        """Sort records into their tables; within each they keep their order."""
-        found = list(records)
-        return cls(**{n: to_frame(kind, (r for r in found if isinstance(r, kind))) for n, kind in RECORDS.items()})
-
-    @classmethod
-    def read(cls, folder: Path) -> Analysis:
-        """Read what `write` wrote; a missing file or column is a TableError that names it."""
-        return cls(**{name: read_frame(kind, folder / f"{name}.csv") for name, kind in RECORDS.items()})
-
-    def write(self, folder: Path) -> None:
-        """Write the files to `folder`, made if absent."""
-        for name in RECORDS:
-            write_frame(getattr(self, name), folder / f"{name}.csv")

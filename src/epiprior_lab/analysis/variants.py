@@ -3,16 +3,12 @@
 Everything before the votes is computed once per pair and preset; the variants differ in what they do with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from epiprior.features.images import View
-from epiprior.geometry import as_columns
-from epiprior.kernels.sampson import squared_distances
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import DEFAULT, PreprocessSettings
 from epiprior.rank import rank_voted
@@ -22,28 +18,18 @@ from epiprior.ranking.models import RankingModel
 from epiprior.ranking.probabilities import Union, two_keypoint_scores
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
 from epiprior.ranking.votes import count_votes, frame_points, rough_fundamental_matrices
-from epiprior.types import Features, FloatArray, IntArray, MatchSet
+from epiprior.types import Features, FloatArray, MatchSet
 from epiprior_lab.evaluation.rankings import ranking_orders
 
 Voter = Callable[[MatchFrames, TwoKeypointMatches, FloatArray, PreprocessSettings], Votes]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Proposals:
     """What precedes the votes, for one pair and one preset.
 
-    Parameters
-    ----------
-    prepared : PreparedPair
-        Features and standard matches.
-    candidates : tuple of Candidates
-        X and the matches of 2keypoints, one for each roll hypothesis.
-    probabilities : tuple of ndarray
-        That each match of 2keypoints is right, for each roll hypothesis.
-    settings : PreprocessSettings
-        The preset.
-    model : RankingModel
-        Its model.
+    `candidates`, X and the matches of 2keypoints, and `probabilities`, that each of these is right, have one item for
+    each roll hypothesis.
     """
 
     prepared: PreparedPair
@@ -54,20 +40,14 @@ class Proposals:
 
 
 def propose(
-    images: tuple[View, View],
-    features: tuple[Features, Features],
-    settings: PreprocessSettings,
-    model: RankingModel,
+    images: tuple[View, View], features: tuple[Features, Features], settings: PreprocessSettings, model: RankingModel
 ) -> Proposals:
     """Run the method up to the probabilities of the matches of 2keypoints (sections 4.1 to 4.4)."""
     prepared = prepare_pair(*images, settings, features1=features[0], features2=features[1])
     candidates = tuple(find_candidates(prepared, roll, settings) for roll in roll_hypotheses(prepared, settings))
-    probabilities = tuple(
-        model.predict_two_keypoint(found.two_keypoints.select(model.two_keypoint_columns)) for found in candidates
-    )
-    return Proposals(
-        prepared=prepared, candidates=candidates, probabilities=probabilities, settings=settings, model=model
-    )
+    columns = model.two_keypoint_columns
+    probabilities = tuple(model.predict_two_keypoint(one.two_keypoints.select(columns)) for one in candidates)
+    return Proposals(prepared, candidates, probabilities, settings, model)
 
 
 def ranked_sets(
@@ -79,18 +59,9 @@ def ranked_sets(
 ) -> tuple[MatchSet, ...]:
     """Vote and rank (sections 4.5 and 4.6), one set for each roll hypothesis.
 
-    Parameters
-    ----------
-    proposals : Proposals
-        From `propose`.
-    settings : PreprocessSettings, optional
-        Of the votes, instead of the preset's.
-    voter : callable
-        `cast_votes`, or `oriented_votes`.
-    standard : bool
-        Whether X is united with X_L and X_B. False: X alone, whose matches then miss d_r and t_k as the paper says.
-        The model is the same, trained on the united matches; so are the matches of 2keypoints, whose coherence
-        depends on X_L and X_B as well.
+    `settings` of the votes replace the preset's. Without `standard`, X is not united with X_L and X_B; its matches then
+    miss d_r and t_k as the paper says. The model is the same, trained on the united matches; so are the matches of
+    2keypoints, whose coherence depends on X_L and X_B as well.
     """
     return tuple(
         rank_voted(
@@ -112,21 +83,13 @@ def _x_alone(found: Candidates) -> Candidates:
 
 
 def oriented_votes(
-    frames: MatchFrames,
-    pairs: TwoKeypointMatches,
-    probability: FloatArray,
-    settings: PreprocessSettings = DEFAULT,
+    frames: MatchFrames, pairs: TwoKeypointMatches, probability: FloatArray, settings: PreprocessSettings = DEFAULT
 ) -> Votes:
     """Make a rough F of every two oriented matches instead of every two matches of 2keypoints.
 
     A match stands for itself and three points around it by scale and orientation of its features, so that two of them
-    give eight points, as in BEEM (as we recall it); two matches of 2keypoints give sixteen.
-
-    Parameters
-    ----------
-    frames, pairs, probability, settings
-        As for `epiprior.ranking.hypothesis.cast_votes`. Taken are as many matches, those with the best matches of
-        2keypoints.
+    give eight points, as in BEEM (as we recall it); two matches of 2keypoints give sixteen. As many matches are taken,
+    those with the best matches of 2keypoints. Parameters as for `epiprior.ranking.hypothesis.cast_votes`.
     """
     best, _ = two_keypoint_scores(pairs, probability, len(frames))
     order = np.lexsort((np.arange(len(best)), -best))
@@ -142,13 +105,8 @@ def oriented_votes(
 def reordered(matches: MatchSet, ranking: str) -> MatchSet:
     """Return the matches in the order of one measure alone, its values instead of probabilities.
 
-    Parameters
-    ----------
-    matches : MatchSet
-        A ranked set.
-    ranking : str
-        ``2keypoint``, by the best match of 2keypoints, or ``sfm``, whose share of the matrices stands for the
-        probability. Matches without a positive value are left out. ``final``: the set as it is.
+    `ranking` is ``2keypoint``, by the best match of 2keypoints, or ``sfm``, whose share of the matrices stands for the
+    probability; matches without a positive value are left out. ``final``: the set as it is.
     """
     if ranking == "final":
         return matches
@@ -156,29 +114,3 @@ def reordered(matches: MatchSet, ranking: str) -> MatchSet:
     if ranking == "2keypoint":
         return replace(taken, probability=taken.two_keypoint_probability)
     return replace(taken, probability=taken.supporting_matrices / max(len(taken.rough_matrices), 1))
-
-
-def supports(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: float) -> IntArray:
-    """Return how many matches support each matrix.
-
-    Parameters
-    ----------
-    F : ndarray, shape (P, 3, 3), float64
-        Fundamental matrices.
-    x1, x2 : ndarray, shape (M, 2), float64
-        Matches, pixels.
-    threshold_px : float
-        A match supports F if its Sampson distance is below this.
-
-    Returns
-    -------
-    ndarray, shape (P,), int64
-        0 to M.
-    """
-    columns = as_columns(x1, x2)
-    distance_sq, gradient_sq = np.empty((2, len(x1)))
-    counts = np.zeros(len(F), np.int64)
-    for k, matrix in enumerate(np.ascontiguousarray(F)):
-        squared_distances(matrix, columns, distance_sq, gradient_sq)
-        counts[k] = np.count_nonzero(distance_sq < threshold_px**2)
-    return counts

@@ -1,7 +1,5 @@
 """Success rates per pair, and paired comparisons of them: contributions, duels, margins."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,21 +14,10 @@ POSE = "pose_deg"  # the larger of both angles
 
 
 class Rates:
-    """A measure of every run by estimator and input, as arrays in the order of the pairs.
+    """A measure of every run by estimator and input, as arrays in the order of ``tables.pairs``.
 
-    Parameters
-    ----------
-    tables : Tables
-        `pairs` gives the order; a pair without a run counts as a failure.
-    measure : str
-        A column of `runs`, or `POSE`.
-
-    Attributes
-    ----------
-    pairs : DataFrame
-        Of `tables`.
-    scenes : list of str
-        Scene of each pair, unique across groups.
+    `measure` is a column of `runs`, or `POSE`; a pair without a run counts as a failure. `scenes` names the scene of
+    each pair, unique across groups.
     """
 
     def __init__(self, tables: Tables, measure: str = "error_px") -> None:
@@ -69,13 +56,7 @@ class Rates:
 
 
 def compare(
-    a: FloatArray,
-    b: FloatArray,
-    *,
-    scenes: Sequence[str],
-    draws: int,
-    seed: int,
-    by: BoolArray | None = None,
+    a: FloatArray, b: FloatArray, *, scenes: Sequence[str], draws: int, seed: int, by: BoolArray | None = None
 ) -> Comparison:
     """Compare two measures of the same pairs, as from `Rates.of`: `a` is ``without``, `b` is ``with_step``.
 

@@ -1,7 +1,5 @@
 """Measures of an estimate against the true geometry, beside the paper's: a distance of two F, errors of the pose."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.types import BoolArray, FloatArray
@@ -16,28 +14,11 @@ def symmetric_distance(
 ) -> float:
     """Return the normalised symmetric geometric distance of two fundamental matrices, in either order.
 
-    Parameters
-    ----------
-    F, true_F : ndarray, shape (3, 3)
-    sizes : tuple of tuple of int
-        (width, height) of both images, pixels.
-    points, seed : int
-        Random points per direction, and the seed of the draw.
-
-    Returns
-    -------
-    float
-        In [0, 1]: mean distance in shares of an image's diagonal. 1 where no epipolar line meets the other image.
-
-    Notes
-    -----
     A random point of image 1 and a random point on its line under one matrix, where the line crosses image 2, are
-    measured by their distances to the epipolar lines of the other matrix. Then the matrices change places.
-
-    References
-    ----------
-    Zhang, Determining the epipolar geometry and its uncertainty, IJCV 1998; normalised as in FM-Bench (Bian et al.,
-    BMVC 2019).
+    measured by their distances to the epipolar lines of the other matrix; then the matrices change places. `sizes` are
+    (width, height), pixels, and `points` is per direction. The mean distance is in shares of an image's diagonal, in
+    [0, 1]; 1 where no epipolar line meets the other image. Zhang, Determining the epipolar geometry and its
+    uncertainty, IJCV 1998; normalised as in FM-Bench (Bian et al., BMVC 2019).
     """
     rng = np.random.default_rng(seed)
     means = [_one_way(*matrices, sizes, points, rng) for matrices in ((F, true_F), (true_F, F))]
@@ -67,14 +48,8 @@ def _one_way(
 def points_on_lines(lines: FloatArray, size: Size, share: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return a point of each line inside the image, NaN where there is none, and which lines cross it.
 
-    Parameters
-    ----------
-    lines : ndarray, shape (N, 3)
-        ``a x + b y + c = 0``.
-    size : tuple of int
-        (width, height), pixels; the image spans the centres of its pixels.
-    share : ndarray, shape (N,)
-        Where between the two ends of the part inside the image, in [0, 1].
+    `lines`, shape (N, 3), are ``a x + b y + c = 0``; the image of `size` (width, height) spans the centres of its
+    pixels. `share`, shape (N,), in [0, 1], is the place between the two ends of the part inside the image.
     """
     normal, length = lines[:, :2], np.linalg.norm(lines[:, :2], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -91,25 +66,11 @@ def points_on_lines(lines: FloatArray, size: Size, share: FloatArray) -> tuple[F
 
 
 def pose_errors(F: FloatArray, cameras: tuple[Camera, Camera], x1: FloatArray, x2: FloatArray) -> tuple[float, float]:
-    """Return the errors of the rotation and of the direction of translation that F gives with the true calibration.
+    """Return the errors of rotation and direction of translation, degrees, that F gives with the true calibration.
 
-    Parameters
-    ----------
-    F : ndarray, shape (3, 3)
-    cameras : tuple of Camera
-        The truth.
-    x1, x2 : ndarray, shape (N, 2), float64
-        Inliers, pixels; of the four poses the one is taken that puts most of them in front of both cameras.
-
-    Returns
-    -------
-    rotation_deg, translation_deg : float
-        In [0, 180] and, since an F knows no sign, [0, 90]; NaN for the translation where the true cameras share
-        their centre.
-
-    References
-    ----------
-    Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 9.6.
+    `x1`, `x2`, shape (N, 2), pixels, are inliers: of the four poses the one is taken that puts most of them in front of
+    both cameras. The errors are in [0, 180] and, since an F knows no sign, in [0, 90]; NaN for the translation where
+    the true cameras share their centre. Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 9.6.
     """
     first, second = cameras
     true_R = second.R @ first.R.T

@@ -1,21 +1,18 @@
 """Estimators before and after preprocessing on the pairs of one set (paper, "General performance").
 
-Rendered scenes and photographs are pair sets alike: matches are made once per pair and kept in files, then rankings are
-labelled and every estimator runs on its inputs. Each pair, and each pair and estimator, is a task of its own, so that a
-run that was killed continues where it stopped.
+Matches are made once per pair and kept in files, then rankings are labelled and every estimator runs on its inputs.
+Each pair, and each pair and estimator, is a task of its own.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from epiprior_lab.compute.tasks import Task, map_tasks
-from epiprior_lab.evaluation.inputs import match_folder, store_matches
+from epiprior_lab.evaluation.inputs import MatchFiles, match_folder, store_matches
 from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.rankings import pair_records
-from epiprior_lab.evaluation.records import Tables
-from epiprior_lab.evaluation.runs import run_pairs
+from epiprior_lab.evaluation.records import RunRecord, Tables
+from epiprior_lab.evaluation.runs import run_pair
 from epiprior_lab.pairsets import Pair
 
 
@@ -28,50 +25,46 @@ def evaluate(
     store: Path | None = None,
     files: Sequence[Path] = (),
 ) -> Tables:
-    """Evaluate pairs in parallel; a run that was killed continues.
+    """Evaluate the pairs of one set, each with ground truth, in parallel; a run that was killed continues.
 
-    Parameters
-    ----------
-    pairs : sequence of Pair
-        Of one set, each with ground truth.
-    protocol : Protocol
-        What is evaluated.
-    group : str
-        Name of the set; it leads every row.
-    workers, store
-        As for `epiprior_lab.compute.tasks.map_tasks`.
-    files : sequence of Path
-        What decides every pair beside its own images: the model files.
+    `group`, the name of the set, leads every row. `files` decide every pair beside its own images: the model files.
+    `workers` and `store` are as for `epiprior_lab.compute.tasks.map_tasks`.
     """
     with match_folder(store) as folder:
+        peers, asked = None if protocol.peers is None else protocol.peers / group, protocol.all_inputs
         matched = store_matches(
-            pairs,
-            protocol.all_inputs,
-            folder,
-            peers=None if protocol.peers is None else protocol.peers / group,
-            files=files,
-            workers=workers,
-            description=f"match {group}",
+            pairs, asked, folder, peers=peers, files=files, workers=workers, description=f"match {group}"
         )
-        tasks = [
-            Task(
-                name=pair.pair_id,
-                payload={"pair": pair, "matches": matches, "group": group, "truth": protocol.truth},
-                files=(*pair.files, *matches.paths.values()),
-            )
-            for pair, matches in zip(pairs, matched, strict=True)
-        ]
+        tasks = []
+        for pair, matches in zip(pairs, matched, strict=True):
+            payload = {"pair": pair, "matches": matches, "group": group, "truth": protocol.truth}
+            tasks.append(Task(name=pair.pair_id, payload=payload, files=(*pair.files, *matches.paths.values())))
         described = map_tasks(pair_records, tasks, workers=workers, description=f"rankings of {group}", store=store)
-        runs = run_pairs(
-            pairs,
-            matched,
-            group=group,
-            inputs=protocol.inputs,
-            seeds=protocol.seeds,
-            hand_overs=protocol.hand_overs,
-            truth=protocol.truth,
-            measures=protocol.measures,
-            workers=workers,
-            store=store,
-        )
+        runs = run_pairs(pairs, matched, protocol, group=group, workers=workers, store=store)
     return Tables.from_records([*(record for records in described for record in records), *runs])
+
+
+def run_pairs(
+    pairs: Sequence[Pair],
+    matched: Sequence[MatchFiles],
+    protocol: Protocol,
+    *,
+    group: str,
+    workers: int = 1,
+    store: Path | None = None,
+) -> list[RunRecord]:
+    """Run every estimator on its inputs of every pair in parallel: one task per pair and estimator.
+
+    `pairs` and `matched` are in one order; other parameters as for `evaluate`.
+    """
+    common = {"group": group, "seeds": protocol.seeds, "truth": protocol.truth, "measures": protocol.measures}
+    tasks = []
+    for pair, matches in zip(pairs, matched, strict=True):
+        for estimator, names in protocol.inputs.items():
+            needed = matches.only(names)
+            hand_overs = {name: protocol.hand_overs[estimator][name] for name in names}
+            own = {"pair": pair, "matches": needed, "estimator": estimator, "hand_overs": hand_overs}
+            files = (*pair.files, *needed.paths.values())
+            tasks.append(Task(name=f"{pair.pair_id} {estimator}", payload=own | common, files=files))
+    found = map_tasks(run_pair, tasks, workers=workers, description=f"estimate {group}", store=store)
+    return [record for records in found for record in records]

@@ -1,7 +1,5 @@
 """Pair sets of one's own: X_L as in the paper, `snn` and `default`, each given to the same estimators."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -37,25 +35,11 @@ def evaluate_folder(
     store: Path | None = Path("data/.tasks/own"),
     console: Console | None = None,
 ) -> Tables:
-    """Evaluate pair sets, print a table, write the tables of `evaluate` and the page to a folder.
+    """Evaluate pair sets, print a table, and write the tables of `evaluate` to the folder `out`.
 
-    Parameters
-    ----------
-    folder : Path
-        A pair set in the uniform format, or a folder of them.
-    sets : sequence of str, optional
-        Names of the sets; all by default.
-    seeds : int
-        Repetitions of each estimate, >= 1.
-    out, store : Path
-        Where results go, and where those per pair are kept, so that a run that was killed continues.
-
-    Raises
-    ------
-    SettingsError
-        If `seeds` is below 1, or there is no such set or estimator.
-    DatasetError
-        If a set is damaged; nothing is skipped.
+    `folder` is a pair set in the uniform format or a folder of them; `sets` are their names, all by default. Results
+    per pair are kept in `store`, so that a run that was killed continues. SettingsError if `seeds` is below 1, or there
+    is no such set or estimator; DatasetError if a set is damaged: nothing is skipped.
     """
     if seeds < 1:
         raise SettingsError(f"seeds is {seeds}, expected at least 1")
@@ -70,18 +54,12 @@ def evaluate_folder(
     protocol = Protocol(inputs=inputs, seeds=tuple(range(seeds)), hand_overs=hand_overs)
     model = sorted(path for path in find_model("default").iterdir() if path.is_file())
     found = find_hand_overs()
+    files, workers = (*model, *(() if found is None else (found,))), default_workers()
     parts = []
     for root in find_sets(folder, sets):
-        part = evaluate(
-            read_pair_set(root).pairs,
-            protocol,
-            group=root.name,
-            workers=default_workers(),
-            store=None if store is None else store / root.name,
-            files=(*model, *(() if found is None else (found,))),
-        )
-        console.print(summary(part, title=root.name))
-        parts.append(part)
+        pairs, kept = read_pair_set(root).pairs, None if store is None else store / root.name
+        parts.append(evaluate(pairs, protocol, group=root.name, workers=workers, store=kept, files=files))
+        console.print(summary(parts[-1], title=root.name))
     tables = Tables.join(parts)
     if len(parts) > 1:
         console.print(summary(tables, title="all sets"))
@@ -92,10 +70,7 @@ def evaluate_folder(
 def find_sets(folder: Path, names: Sequence[str] | None = None) -> list[Path]:
     """Return the folders of pair sets in the order of `names`, or all by name; `folder` itself where it is one.
 
-    Raises
-    ------
-    SettingsError
-        If a named set is not there, or there is none at all; the message names it.
+    SettingsError if a named set is not there, or there is none at all; the message names it.
     """
     paths = [folder] if (folder / "pairs.csv").is_file() else [p.parent for p in sorted(folder.glob("*/pairs.csv"))]
     known = {path.resolve().name: path for path in paths}
@@ -110,12 +85,9 @@ def find_sets(folder: Path, names: Sequence[str] | None = None) -> list[Path]:
 def summarise(tables: Tables) -> pd.DataFrame:
     """Return one row per estimator and input.
 
-    Returns
-    -------
-    DataFrame
-        ``estimator, input, pairs``; ``precision_100``, the mean over labelled pairs; ``successes_<threshold>`` (pairs,
-        mean over seeds) and ``scene_share``, the share of successes at the first threshold per scene, mean over scenes:
-        pairs of one scene are alike, and some scenes have many.
+    ``precision_100`` is the mean over labelled pairs, ``successes_<threshold>`` counts pairs (mean over seeds), and
+    ``scene_share`` is the share of successes at the first threshold per scene, mean over scenes: some scenes have many
+    pairs, which are alike.
     """
     rates = Rates(tables)
     final = tables.rankings[tables.rankings["ranking"] == "final"]
@@ -136,8 +108,8 @@ def summary(tables: Tables, *, title: str) -> Table:
     """Return a table for the terminal; the best number of each column is bold."""
     numbers = summarise(tables)
     table = Table(title=f"{title}, {len(tables.pairs)} pairs", title_justify="left")
-    for column in ("estimator", "input"):
-        table.add_column(column)
+    table.add_column("estimator")
+    table.add_column("input")
     formats = {"precision_100": ("top 100 right", "{:.2f}")}
     formats |= {f"successes_{t:g}": (f"below {t:g} px", "{:.1f}") for t in THRESHOLDS_PX}
     formats["scene_share"] = (f"{THRESHOLDS_PX[0]:g} px, per scene", "{:.0%}")

@@ -1,20 +1,15 @@
-"""What estimators are given: the matches of a pair, made in every way that is compared, once for all estimators.
+"""The matches of a pair that estimators are given, made in every way that is compared, once for all estimators.
 
-``standard``
-    X_L of the paper: nearest neighbours of plain SIFT by distance ratio; its baseline.
-``snn``
-    RootSIFT, mutual nearest neighbours, ratio below 0.85: the strongest simple pipeline of today.
-``generalized``
-    All matches above a similarity with low probabilities; what `generalized-ransac` gets in place of X_L.
-``paper``, ``default``
-    The ranked matches of the preset, one set per roll hypothesis.
-any other name
-    A peer: a ranker of others on the same features, made elsewhere. ``FOLDER/PEER/PAIR_ID.npz`` holds its matches, best
-    first: ``x1, x2`` of shape (N, 2), pixels of the images as given; ``scale1, scale2, orientation1_deg,
-    orientation2_deg`` of the features and ``feature1, feature2``, their indices; all of length N.
+- ``standard``: X_L of the paper, nearest neighbours of plain SIFT by distance ratio; its baseline.
+- ``snn``: RootSIFT, mutual nearest neighbours, ratio below 0.85; the strongest simple pipeline of today.
+- ``generalized``: all matches above a similarity with low probabilities; what `generalized-ransac` gets for X_L.
+- ``paper``, ``default``: the ranked matches of the preset, one set per roll hypothesis.
+- any other name: a peer, a ranker of others on the same features, made elsewhere. ``FOLDER/PEER/PAIR_ID.npz`` holds
+  its matches, best first: ``x1, x2`` of shape (N, 2), pixels of the images as given; ``scale1, scale2,
+  orientation1_deg, orientation2_deg`` of the features and ``feature1, feature2``, their indices; all of length N.
 
-Matches are kept in files, one per pair and input: each estimator needs a few inputs only. This module imports no
-estimator, so that a changed estimator leaves stored matches as they are.
+Matches are kept in files, one per pair and input. This module imports no estimator, so that a changed estimator leaves
+stored matches as they are.
 """
 
 from __future__ import annotations
@@ -55,14 +50,8 @@ _MAKERS: Mapping[str, Callable[..., MatchSet]] = {
 class PairMatches:
     """The matches of one pair.
 
-    Parameters
-    ----------
-    sets : dict of str to tuple of MatchSet
-        Per input; presets have one set per roll hypothesis, all others a single one.
-    pixel_factors : tuple of float
-        Given pixels per working pixel in both images, as `estimate_from_matches` wants them.
-    features : tuple of int
-        Numbers of features of both images.
+    `sets` per input: presets have one set per roll hypothesis, all others a single one. `pixel_factors` are given
+    pixels per working pixel of both images, `features` the numbers of their features.
     """
 
     sets: dict[str, tuple[MatchSet, ...]]
@@ -73,10 +62,7 @@ class PairMatches:
 def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | None = None) -> PairMatches:
     """Match one pair in every asked way, in that order; its images are read unless `detected` holds their features.
 
-    Raises
-    ------
-    SettingsError
-        If an input is unknown.
+    SettingsError if an input is unknown.
     """
     unknown = [name for name in inputs if name not in INPUTS]
     if unknown:
@@ -121,23 +107,11 @@ def store_matches(
     workers: int = 1,
     description: str = "match",
 ) -> list[MatchFiles]:
-    """Match pairs in parallel and keep their matches in files; a killed run continues.
+    """Match pairs in parallel and keep their matches in files in `folder`; a killed run continues.
 
-    Parameters
-    ----------
-    inputs : sequence of str
-        Names out of `INPUTS`, at least one, and of peers.
-    folder : Path
-        Where matches go; made if absent.
-    peers : Path, optional
-        Folder of the peers' matches.
-    files : sequence of Path
-        What decides the matches beside the pairs' own images: the model files.
-
-    Raises
-    ------
-    DatasetError
-        If there is no folder of peers, or a file of theirs is missing or damaged.
+    `inputs`, at least one, are names out of `INPUTS` or of peers, whose folder is `peers`. `files` decide the matches
+    beside the pairs' own images: the model files. DatasetError if there is no such folder, or a file in it is missing
+    or damaged.
     """
     own = tuple(name for name in inputs if name in INPUTS)
     others = [name for name in inputs if name not in INPUTS]
@@ -184,10 +158,7 @@ _INDICES = ("feature1", "feature2")
 def read_peer_matches(path: Path) -> MatchSet:
     """Return the matches of one file of a peer: without probabilities, in the order of the file.
 
-    Raises
-    ------
-    DatasetError
-        If the file cannot be read, lacks an array, or its arrays do not belong together; the message names it.
+    DatasetError if it cannot be read, lacks an array, or its arrays do not belong together; the message names it.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:

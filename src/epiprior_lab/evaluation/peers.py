@@ -33,14 +33,9 @@ class PeerError(EpipriorError):
 
 
 def match_by_peers(*, pairs: Sequence[Pair], peers: Sequence[str], python: Path, script: Path) -> list[list[Columns]]:
-    """Match some pairs by every peer that the script knows, in the interpreter `python` of their environment.
+    """Match some pairs by every peer, in the interpreter `python` of their environment; PeerError if `script` fails.
 
     Return, for each pair and peer, the arrays of `inputs.read_peer_matches`.
-
-    Raises
-    ------
-    PeerError
-        If the script fails.
     """
     settings = FeatureSettings(root=True, centred=False)
     features: dict[Path, Features] = {}
@@ -97,13 +92,8 @@ def write_peer_matches(
 ) -> None:
     """Write the matches of every peer and pair as ``out/PEER/PAIR_ID.npz``; a killed run continues.
 
-    Without peers the folder stays empty. `script` runs in `environment`, where they are installed; `files` are what
-    else decides the matches.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such environment.
+    Without peers the folder stays empty. `script` runs in `environment`, where they are installed (SettingsError if it
+    is absent); `files` are what else decides the matches.
     """
     out.mkdir(parents=True, exist_ok=True)
     if not peers:

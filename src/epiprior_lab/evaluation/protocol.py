@@ -1,7 +1,5 @@
 """What is evaluated and how it is measured; the one place where that is read from a parameter file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,18 +18,9 @@ PEERS = Path("data/peers")
 class Protocol:
     """What is evaluated and how it is measured.
 
-    Parameters
-    ----------
-    inputs : mapping of str to sequence of str
-        For each estimator the inputs that it gets; what is not in `inputs.INPUTS` is a peer's.
-    seeds : tuple of int
-        Repetitions of every estimate.
-    hand_overs : mapping
-        ``hand_overs[estimator][input]``.
-    truth, measures
-        See `TruthSettings`, `MeasureSettings`.
-    peers : Path, optional
-        ``peers/GROUP/PEER/PAIR_ID.npz``, see `inputs`.
+    `inputs` lists for each estimator the inputs that it gets; what is not in `inputs.INPUTS` is a peer's, read from
+    ``peers/GROUP/PEER/PAIR_ID.npz``. `seeds` are the repetitions of every estimate, and the hand-overs
+    ``hand_overs[estimator][input]``.
     """
 
     inputs: EstimatorInputs
@@ -50,8 +39,7 @@ class Protocol:
 def make_protocol(params: Params) -> Protocol:
     """Return the protocol of a parameter file.
 
-    Hand-overs are those that were chosen on validation scenes; inputs in `whole` and those of peers are handed over as
-    they are.
+    Hand-overs were chosen on validation scenes; inputs in `whole` and those of peers are handed over as they are.
     """
     evaluate, chosen = params.evaluate, load_hand_overs(MODELS / "hand_over.json")
     whole = {*(evaluate.whole or ()), *(evaluate.peers or ())}
@@ -73,10 +61,7 @@ def pairs_of(evaluate: EvaluateParams, group: str) -> tuple[Pair, ...]:
     return read_pair_set(evaluate.pairs_of(group), evaluate.control_points_of(group)).pairs
 
 
-def validation_pairs(families: Sequence[str], data: Path = Path("data")) -> dict[str, tuple[Pair, ...]]:
+def validation_pairs(families: Sequence[str]) -> dict[str, tuple[Pair, ...]]:
     """Return the rendered validation pairs by family, with their control points."""
-    points = data / "ground_truth" / "validation"
-    return {
-        family: read_pair_set(data / "scenes" / "validation" / family, points / family / "control_points").pairs
-        for family in families
-    }
+    scenes, points = Path("data/scenes/validation"), Path("data/ground_truth/validation")
+    return {name: read_pair_set(scenes / name, points / name / "control_points").pairs for name in families}

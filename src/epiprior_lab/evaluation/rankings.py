@@ -6,8 +6,6 @@ ratio), ``blogs`` (X_B by similarity weight), ``2keypoint`` (by the best 2keypoi
 estimator leaves stored results as they are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,8 +27,7 @@ _TOP = 100
 def ranking_orders(matches: MatchSet) -> dict[str, IntArray]:
     """Return the indices of the matches that take part in each ranking, best first.
 
-    `matches` are X, X_L and X_B together, sorted by probability. Ties are broken by the features' indices, so that no
-    ranking profits from another.
+    `matches` are X, X_L and X_B together, sorted by probability. Ties are broken by the features' indices.
     """
 
     def order(score: np.ndarray[Any, Any], member: BoolArray) -> IntArray:
@@ -54,12 +51,6 @@ def best_hypothesis(sets: Sequence[MatchSet]) -> MatchSet:
 def walked(matches: MatchSet, order: IntArray) -> IntArray:
     """Return the indices of `order` without those of matches whose feature, in either image, was used before."""
     return np.asarray(order[one_to_one_mask(matches.feature1[order], matches.feature2[order])])
-
-
-def roll_differences(matches: MatchSet) -> FloatArray:
-    """Return the differences of orientations in X_L and X_B, degrees: what the roll is read from (section 4.2)."""
-    standard = (matches.distance_ratio < 1) | (matches.similarity_weight > 0)
-    return orientation_differences(matches.orientation1_deg, matches.orientation2_deg)[standard]
 
 
 def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSettings) -> list[Record]:
@@ -92,7 +83,11 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
             )
         if name in PRESETS:
             records += _calibration(key, name, ranked.probability, right)
-    rolled = len(sets["default"][0]) > 0 if "default" in sets else False
+    roll = float("nan")
+    if "default" in sets and len(sets["default"][0]):  # read from the matches of X_L and X_B (section 4.2)
+        ranked = sets["default"][0]
+        standard = (ranked.distance_ratio < 1) | (ranked.similarity_weight > 0)
+        roll = float(expected_roll(orientation_differences(ranked.orientation1_deg, ranked.orientation2_deg)[standard]))
     about = PairRecord(
         **key,
         features1=matches.features[0],
@@ -102,22 +97,17 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
         right_share=share,
         difficulty=truth.difficulty(share),
         true_roll_deg=true_roll_deg(pair),
-        expected_roll_deg=float(expected_roll(roll_differences(sets["default"][0]))) if rolled else float("nan"),
+        expected_roll_deg=roll,
     )
     return [about, *records]
 
 
 def _calibration(key: dict[str, str], name: str, probability: FloatArray, right: BoolArray) -> list[CalibrationRecord]:
     sums = calibration_bins(probability, right)
+    bins = zip(sums.count, sums.right, sums.probability, sums.squared_error, strict=True)
     return [
         CalibrationRecord(
-            **key,
-            input=name,
-            bin=b,
-            count=int(sums.count[b]),
-            right=int(sums.right[b]),
-            probability=float(sums.probability[b]),
-            squared_error=float(sums.squared_error[b]),
+            **key, input=name, bin=b, count=int(n), right=int(hits), probability=float(p), squared_error=float(error)
         )
-        for b in range(len(sums.count))
+        for b, (n, hits, p, error) in enumerate(bins)
     ]

@@ -1,12 +1,10 @@
 """The rows of the evaluation's tables, and the four tables themselves: a field is a column, named nowhere else."""
 
-from __future__ import annotations
-
 import types
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, ClassVar, Self, get_type_hints
 
 import pandas as pd
 
@@ -36,23 +34,11 @@ class Record:
 class PairRecord(Record):
     """A pair and its ground truth.
 
-    Parameters
-    ----------
-    features1, features2 : int
-        Numbers of features of both images.
-    labels : str
-        What decides whether a match is right: ``depth``, ``plane`` (a homography), ``epipolar`` (the true F),
-        ``control_points`` (an F fitted to them); empty where nothing does.
-    points : str
-        Where an estimate is measured: at ``control_points``, or at points that the ``cameras`` allow.
-    right_share : float
-        Share of right matches of X_L; NaN without labels.
-    difficulty : str
-        One of `DIFFICULTIES` by `right_share`; empty without labels.
-    true_roll_deg : float
-        Roll between the cameras, in (-180, 180]; NaN without cameras.
-    expected_roll_deg : float
-        Highest peak of the density of the roll over X_L and X_B; NaN without ranked matches.
+    `labels` is what decides whether a match is right: ``depth``, ``plane`` (a homography), ``epipolar`` (the true F),
+    ``control_points`` (an F fitted to them), empty where nothing does. Estimates are measured at `points`:
+    ``control_points``, or points that the ``cameras`` allow. `right_share` is the share of right matches of X_L, by
+    which `difficulty` is one of `DIFFICULTIES`; NaN and empty without labels. `true_roll_deg`, in (-180, 180], is the
+    roll between the cameras; `expected_roll_deg` the highest peak of its density over X_L and X_B; NaN where unknown.
     """
 
     features1: int
@@ -71,8 +57,8 @@ class RunRecord(Record):
 
     From `status` to `iterations` as in `epiprior.types.FundamentalEstimate`; `matches` are what support is counted
     over. Errors are those of F whatever its status, NaN without F or where the truth does not allow them: mean and
-    median over the control points of the Sampson distance; `distance`, the normalised symmetric geometric distance to
-    the true F; angles of the pose under the true calibration.
+    median over the control points of the Sampson distance; the normalised symmetric geometric `distance` to the true F;
+    angles of the pose under the true calibration.
     """
 
     estimator: str
@@ -176,13 +162,7 @@ def write_frame(table: pd.DataFrame, path: Path) -> None:
 
 
 def read_frame(record: type[Record], path: Path) -> pd.DataFrame:
-    """Read what `write_frame` wrote; names stay text, whatever they look like.
-
-    Raises
-    ------
-    TableError
-        If it cannot be read as such a table.
-    """
+    """Read what `write_frame` wrote; names stay text, whatever they look like. TableError if it is no such table."""
     columns = column_types(record)
     numbers = {name: [""] for name, kind in columns.items() if kind in ("float64", "Int64")}
     try:
@@ -195,42 +175,32 @@ def read_frame(record: type[Record], path: Path) -> pd.DataFrame:
     return table[list(columns)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tables:
-    """The results of an evaluation, one row per record; each field is a CSV file of its name."""
+class TableSet:
+    """Tables with one row per record; subclasses have a field, which is a CSV file, for each of `kinds`."""
 
-    pairs: pd.DataFrame
-    runs: pd.DataFrame
-    rankings: pd.DataFrame
-    calibration: pd.DataFrame
+    kinds: ClassVar[dict[str, type[Record]]]
 
     @classmethod
-    def from_records(cls, records: Iterable[Record]) -> Tables:
+    def from_records(cls, records: Iterable[Record]) -> Self:
         """Sort records into their tables; within each they keep their order."""
-        parts: dict[type[Record], list[Record]] = {record: [] for record in RECORDS.values()}
+        parts: dict[type[Record], list[Record]] = {record: [] for record in cls.kinds.values()}
         for one in records:
             parts[type(one)].append(one)
-        return cls(**{name: to_frame(record, parts[record]) for name, record in RECORDS.items()})
+        return cls(**{name: to_frame(record, parts[record]) for name, record in cls.kinds.items()})
 
     @classmethod
-    def join(cls, parts: Sequence[Tables]) -> Tables:
+    def join(cls, parts: Sequence[Self]) -> Self:
         """Return the rows of all `parts`, in their order."""
-        return cls(**{name: pd.concat([getattr(p, name) for p in parts], ignore_index=True) for name in RECORDS})
+        return cls(**{name: pd.concat([getattr(p, name) for p in parts], ignore_index=True) for name in cls.kinds})
 
     @classmethod
-    def read(cls, folders: Sequence[Path]) -> Tables:
-        """Read what `write` wrote to each of the folders, one below the other.
-
-        Raises
-        ------
-        TableError
-            If a file is missing or lacks a column; the message names it.
-        """
-        return cls.join([cls(**{n: read_frame(r, f / f"{n}.csv") for n, r in RECORDS.items()}) for f in folders])
+    def read(cls, folders: Sequence[Path]) -> Self:
+        """Read what `write` wrote to each folder, one below the other; TableError names a bad file."""
+        return cls.join([cls(**{n: read_frame(r, f / f"{n}.csv") for n, r in cls.kinds.items()}) for f in folders])
 
     def write(self, folder: Path) -> None:
         """Write the files to `folder`, made if absent."""
-        for name in RECORDS:
+        for name in self.kinds:
             write_frame(getattr(self, name), folder / f"{name}.csv")
 
 
@@ -240,3 +210,14 @@ RECORDS: dict[str, type[Record]] = {
     "rankings": RankingRecord,
     "calibration": CalibrationRecord,
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tables(TableSet):
+    """The results of an evaluation."""
+
+    kinds: ClassVar = RECORDS
+    pairs: pd.DataFrame
+    runs: pd.DataFrame
+    rankings: pd.DataFrame
+    calibration: pd.DataFrame

@@ -1,11 +1,8 @@
 """Runs of estimators on the inputs of a pair, and how far each is from the truth. The loop over both is here alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,7 +12,6 @@ from epiprior.estimators.run import estimate_from_matches
 from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.distances import pose_errors, symmetric_distance
 from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches
 from epiprior_lab.evaluation.records import RunRecord
@@ -36,11 +32,6 @@ class MeasureSettings:
     distance_points: int = 1000
 
 
-def is_deterministic(estimator: str) -> bool:
-    """Return whether the seed changes nothing: one run then stands for all seeds."""
-    return bool(getattr(find_estimator(estimator), "deterministic", False))
-
-
 def each_run(
     run: Callable[..., Result],
     matches: PairMatches,
@@ -50,35 +41,16 @@ def each_run(
     seeds: Sequence[int],
     hand_overs: Mapping[str, HandOver],
 ) -> Iterator[tuple[str, int, Result]]:
-    """Yield input, seed and outcome for all inputs in `matches`, and for each of them all seeds.
+    """Yield input, seed and outcome for all inputs in `matches`, and for each of them all `seeds`.
 
-    Parameters
-    ----------
-    run : callable
-        `estimate_from_matches`, or what takes the same; of the roll hypotheses the best supported F is kept.
-    matches : PairMatches
-        The inputs that the estimator gets.
-    pair_id : str
-        Each seed becomes a child seed of the pair, the same for every input, so that differences are paired.
-    estimator : str
-        Name in the registry. A deterministic one runs once, and its outcome is repeated.
-    seeds : sequence of int
-        One run each.
-    hand_overs : mapping of str to HandOver
-        Per input.
+    `run` is `estimate_from_matches`, or takes the same. Each seed becomes a child seed of the pair, the same for every
+    input, so that differences are paired. A deterministic estimator runs once, and its outcome is repeated.
+    `hand_overs` are per input.
     """
-    different = seeds[:1] if is_deterministic(estimator) else seeds
+    different = seeds[:1] if getattr(find_estimator(estimator), "deterministic", False) else seeds
     for name, sets in matches.sets.items():
-        found = [
-            run(
-                sets,
-                estimator=estimator,
-                seed=child_seed(seed, pair_id),
-                hand_over=hand_overs[name],
-                pixel_factors=matches.pixel_factors,
-            )
-            for seed in different
-        ]
+        how = {"estimator": estimator, "hand_over": hand_overs[name], "pixel_factors": matches.pixel_factors}
+        found = [run(sets, seed=child_seed(seed, pair_id), **how) for seed in different]
         for k, seed in enumerate(seeds):
             yield name, seed, found[min(k, len(found) - 1)]
 
@@ -101,20 +73,13 @@ def run_record(
     truth: Truth,
     measures: MeasureSettings,
     *,
-    group: str,
-    estimator: str,
-    name: str,
-    seed: int,
     threshold_px: float,
+    **key: Any,
 ) -> RunRecord:
     """Measure one estimate in every way that the truth of the pair allows.
 
-    Parameters
-    ----------
-    estimate : FundamentalEstimate
-        Its `raw_F` is measured, whatever its status: a strict verification would flatter the inputs that it spares.
-    threshold_px : float
-        Matches within it choose among the four poses of F, pixels.
+    Its `raw_F` is measured whatever its status: a strict verification would flatter the inputs that it spares. Matches
+    within `threshold_px` choose among the four poses of F. `key` is group, estimator, input and seed.
     """
     F, cameras = estimate.raw_F, (pair.camera1, pair.camera2)
     mean = median = distance = rotation = translation = float("nan")
@@ -128,18 +93,12 @@ def run_record(
             near = sampson_distance(F, estimate.x1, estimate.x2) < threshold_px
             rotation, translation = pose_errors(F, (cameras[0], cameras[1]), estimate.x1[near], estimate.x2[near])
     return RunRecord(
-        group=group,
+        **key,
+        **{name: getattr(estimate, name) for name in ("support", "spread", "plausibility", "iterations")},
         pair_id=pair.pair_id,
         scene=pair.scene,
-        estimator=estimator,
-        input=name,
-        seed=seed,
         status=str(estimate.status),
-        support=estimate.support,
         matches=len(estimate.x1),
-        spread=estimate.spread,
-        plausibility=estimate.plausibility,
-        iterations=estimate.iterations,
         error_px=mean,
         median_error_px=median,
         distance=distance,
@@ -161,51 +120,10 @@ def run_pair(
 ) -> list[RunRecord]:
     """Return one record per input and seed of one estimator; parameters as for `estimates` and `run_record`."""
     read, known = matches.read(), pair_truth(pair, truth)
-    factor = max(read.pixel_factors)
+    limits = {name: how.threshold_px * max(read.pixel_factors) for name, how in hand_overs.items()}
+    key = {"group": group, "estimator": estimator}
+    found = estimates(read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs)
     return [
-        run_record(
-            estimate, pair, known, measures, group=group, estimator=estimator, name=name, seed=seed,
-            threshold_px=hand_overs[name].threshold_px * factor,
-        )
-        for name, seed, estimate in estimates(
-            read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs
-        )
-    ]  # fmt: skip
-
-
-def run_pairs(
-    pairs: Sequence[Pair],
-    matched: Sequence[MatchFiles],
-    *,
-    group: str,
-    inputs: EstimatorInputs,
-    seeds: Sequence[int],
-    hand_overs: HandOvers,
-    truth: TruthSettings,
-    measures: MeasureSettings,
-    workers: int = 1,
-    store: Path | None = None,
-) -> list[RunRecord]:
-    """Run every estimator on its inputs of every pair in parallel: one task per pair and estimator.
-
-    `pairs` and `matched` are in one order; other parameters as for `run_pair`, and for
-    `epiprior_lab.compute.tasks.map_tasks`.
-    """
-    tasks = []
-    for pair, matches in zip(pairs, matched, strict=True):
-        for estimator, names in inputs.items():
-            needed = matches.only(names)
-            payload = {
-                "pair": pair,
-                "matches": needed,
-                "estimator": estimator,
-                "seeds": tuple(seeds),
-                "hand_overs": {name: hand_overs[estimator][name] for name in names},
-                "group": group,
-                "truth": truth,
-                "measures": measures,
-            }
-            files = (*pair.files, *needed.paths.values())
-            tasks.append(Task(name=f"{pair.pair_id} {estimator}", payload=payload, files=files))
-    found = map_tasks(run_pair, tasks, workers=workers, description=f"estimate {group}", store=store)
-    return [record for records in found for record in records]
+        run_record(estimate, pair, known, measures, threshold_px=limits[name], input=name, seed=seed, **key)
+        for name, seed, estimate in found
+    ]

@@ -1,7 +1,5 @@
 """Where the photographs are: links to pair sets that lie elsewhere, and what is missing."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,13 +12,8 @@ FOLDER = Path("data/real")
 def link_sets(names: Sequence[str], source: Path | None, folder: Path = FOLDER) -> list[Path]:
     """Link the named pair sets of a folder into another, and return their paths; without `source` check what is there.
 
-    A set that lies in `folder` itself stays as it is; a link is set anew.
-
-    Raises
-    ------
-    SettingsError
-        If `source` is no folder or holds none of the sets, since older links would be taken in silence; or if a set is
-        missing after all. The message says what to do.
+    A set that lies in `folder` itself stays as it is; a link is set anew. SettingsError if `source` is no folder or
+    holds none of the sets, since older links would be taken in silence, or if a set is missing after all.
     """
     if source is not None and not source.is_dir():
         raise SettingsError(f"{source}: no such folder of pair sets; `make real` alone takes what {folder} has")

@@ -1,13 +1,9 @@
 """Successes and paired bootstrap intervals.
 
-Conventions: errors are pixels, ``inf`` or NaN where there is no fundamental matrix, which counts as a failure
-and never as missing; a success is an error strictly below the threshold; deviations over seeds are sample
-deviations.
-References: paper, "General performance"; Efron and Tibshirani, An Introduction to the Bootstrap, chapter 13
-(percentile intervals).
+Errors are pixels, ``inf`` or NaN where there is no fundamental matrix, which counts as a failure and never as missing;
+a success is an error strictly below the threshold; deviations over seeds are sample deviations. References: paper,
+"General performance"; Efron and Tibshirani, An Introduction to the Bootstrap, chapter 13 (percentile intervals).
 """
-
-from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
@@ -17,7 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from epiprior.errors import SettingsError
-from epiprior.types import BoolArray, FloatArray
+from epiprior.types import FloatArray
+
+_LEVEL = 0.95
+_TAILS = ((1 - _LEVEL) / 2, 1 - (1 - _LEVEL) / 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,22 +49,11 @@ def contribution(without: ArrayLike, with_step: ArrayLike) -> FloatArray:
 
 
 def bootstrap_weights(n: int, *, draws: int, seed: int, groups: Sequence[str] | None = None) -> FloatArray:
-    """Return how often each of `n` pairs is drawn in each of `draws` bootstrap samples.
+    """Return how often each of `n` pairs is drawn in each of `draws` samples, as shares, shape (draws, n).
 
-    Parameters
-    ----------
-    groups : sequence of str, length n, optional
-        Scene of each pair: whole scenes are drawn, because pairs of one scene are alike; otherwise pairs.
-
-    Returns
-    -------
-    ndarray, shape (draws, n), float64
-        Each row sums to 1, so that ``weights @ values`` are the means of the samples.
-
-    Raises
-    ------
-    SettingsError
-        If `n` or `draws` is below 1, or `groups` has another length.
+    Each row sums to 1, so that ``weights @ values`` are the means of the samples. `groups` names the scene of each
+    pair: whole scenes are drawn, because pairs of one scene are alike; without it, pairs. SettingsError if `n` or
+    `draws` is below 1, or `groups` has another length.
     """
     if n < 1 or draws < 1:
         raise SettingsError(f"bootstrap of {n} observations in {draws} draws: both must be at least 1")
@@ -84,43 +72,25 @@ def _weights(n: int, draws: int, seed: int, groups: tuple[str, ...] | None) -> F
     return weights
 
 
-def _interval(value: float, samples: FloatArray, level: float) -> Interval:
+def _interval(value: float, samples: FloatArray) -> Interval:
     """Take the quantiles without interpolation: a sample may be infinite."""
-    tail = (1 - level) / 2
-    low, high = np.quantile(samples, [tail, 1 - tail], method="inverted_cdf")
+    low, high = np.quantile(samples, _TAILS, method="inverted_cdf")
     return Interval(value=float(value), low=float(low), high=float(high))
 
 
-def bootstrap_mean(
-    values: ArrayLike, *, draws: int, seed: int, groups: Sequence[str] | None = None, level: float = 0.95
-) -> Interval:
+def bootstrap_mean(values: ArrayLike, *, draws: int, seed: int, groups: Sequence[str] | None = None) -> Interval:
     """Return the mean of `values`, one finite value per pair, and its interval, drawn as in `bootstrap_weights`."""
     v = np.asarray(values, np.float64)
-    return _interval(v.mean(), bootstrap_weights(len(v), draws=draws, seed=seed, groups=groups) @ v, level)
+    return _interval(v.mean(), bootstrap_weights(len(v), draws=draws, seed=seed, groups=groups) @ v)
 
 
 def paired_bootstrap(
-    without: ArrayLike,
-    with_step: ArrayLike,
-    *,
-    draws: int,
-    seed: int,
-    groups: Sequence[str] | None = None,
-    level: float = 0.95,
+    without: ArrayLike, with_step: ArrayLike, *, draws: int, seed: int, groups: Sequence[str] | None = None
 ) -> Comparison:
-    """Compare a measure of the same pairs without and with the preprocessing step.
+    """Compare a measure of the same pairs without and with the preprocessing step, resampled together.
 
-    Parameters
-    ----------
-    without, with_step : array_like, shape (N,)
-        One finite value per pair, in one order, N >= 1; for successes, the share of seeds that succeeded.
-    draws, seed, groups
-        As for `bootstrap_weights`; both sides are resampled together.
-
-    Raises
-    ------
-    SettingsError
-        If the two sides have different lengths.
+    Both hold one finite value per pair, shape (N,), N >= 1; for successes, the share of seeds that succeeded. `draws`,
+    `seed`, `groups` are as for `bootstrap_weights`. SettingsError if the two sides have different lengths.
     """
     a, b = np.asarray(without, np.float64), np.asarray(with_step, np.float64)
     if a.shape != b.shape or a.ndim != 1:
@@ -128,32 +98,17 @@ def paired_bootstrap(
     weights = bootstrap_weights(len(a), draws=draws, seed=seed, groups=groups)
     means_a, means_b = weights @ a, weights @ b
     return Comparison(
-        without=_interval(a.mean(), means_a, level),
-        with_step=_interval(b.mean(), means_b, level),
-        difference=_interval((b - a).mean(), means_b - means_a, level),
-        contribution=_interval(float(contribution(a.mean(), b.mean())), contribution(means_a, means_b), level),
+        without=_interval(a.mean(), means_a),
+        with_step=_interval(b.mean(), means_b),
+        difference=_interval((b - a).mean(), means_b - means_a),
+        contribution=_interval(float(contribution(a.mean(), b.mean())), contribution(means_a, means_b)),
     )
 
 
-def successes(errors_px: ArrayLike, threshold_px: float) -> BoolArray:
-    """Return which errors are successes: strictly below the threshold, and a number."""
-    return np.asarray(np.asarray(errors_px, np.float64) < threshold_px)
-
-
 def success_curve(errors_px: ArrayLike, thresholds_px: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return the number of successful pairs as a function of the threshold.
+    """Return the number of successful pairs at each threshold: mean over seeds, and its sample deviation.
 
-    Parameters
-    ----------
-    errors_px : array_like, shape (P, S)
-        Error of each pair for each seed, pixels.
-    thresholds_px : array_like, shape (T,)
-        Thresholds, pixels.
-
-    Returns
-    -------
-    mean, deviation : ndarray, shape (T,), float64
-        Mean over seeds of the number of pairs, and its sample deviation (0 for a single seed).
+    `errors_px` has shape (pairs, seeds), pixels; the deviation is 0 for a single seed.
     """
     below = np.asarray(errors_px, np.float64)[None] < np.asarray(thresholds_px, np.float64)[:, None, None]
     counts = below.sum(axis=1).astype(np.float64)

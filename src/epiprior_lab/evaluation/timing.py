@@ -3,8 +3,6 @@
 One process, one pair at a time (after the paper's figure of time overhead); no result depends on these times.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -32,7 +30,7 @@ def time_pair(
 
     Images are read anew for each input, since that is what a user pays. Inputs of peers are left out.
     """
-    truth = pair_truth(pair, protocol.truth)
+    truth, key = pair_truth(pair, protocol.truth), {"group": group, "pair_id": pair.pair_id, "scene": pair.scene}
     found: dict[tuple[str, int, str], tuple[TimingRecord, FundamentalEstimate]] = {}
     for name in (name for name in protocol.all_inputs if name in INPUTS):
         start = time.perf_counter()
@@ -41,15 +39,11 @@ def time_pair(
         matches = match_pair(pair, (name,), detected=detected)
         features, matching = middle - start, time.perf_counter() - middle
         for estimator in (e for e, names in protocol.inputs.items() if name in names):
-            hand_overs = protocol.hand_overs[estimator]
-            for _, seed, estimate in estimates(
-                matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs
-            ):
+            how = protocol.hand_overs[estimator]
+            for _, seed, estimate in estimates(matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
                 running = sum(estimate.seconds.values())
                 record = TimingRecord(
-                    group=group,
-                    pair_id=pair.pair_id,
-                    scene=pair.scene,
+                    **key,
                     estimator=estimator,
                     input=name,
                     seed=seed,
@@ -61,12 +55,12 @@ def time_pair(
                     error_px=error_px(estimate, truth),
                 )
                 found[estimator, seed, name] = record, estimate
-    cascades = [
-        _cascade(found[estimator, seed, name], found[estimator, seed, PREPROCESSED], rule)
-        for estimator, seed, name in found
-        if name in WITHOUT and (estimator, seed, PREPROCESSED) in found
-    ]
-    return [*(record for record, _ in found.values()), *cascades]
+    records = [record for record, _ in found.values()]
+    for (estimator, seed, name), first in found.items():
+        second = found.get((estimator, seed, PREPROCESSED))
+        if name in WITHOUT and second is not None:
+            records.append(_cascade(first, second, rule))
+    return records
 
 
 def _cascade(

@@ -4,8 +4,6 @@ How hard follows from the ground truth alone, the share of right matches in X_L:
 select for the result.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -32,14 +30,8 @@ _LABELS = {"3D": "depth", "plane": "plane", "epipolar": "epipolar"}
 class TruthSettings:
     """When a match is right, when a pair decides an F, and what makes a pair easy or hard.
 
-    Parameters
-    ----------
-    plane_px : float
-        Control points that near one homography lie on one plane.
-    one_plane : tuple of str
-        Ids of pairs whose control points lie on one plane, whatever this makes of them.
-    easy_share, hard_share : float
-        More of X_L is right: easy; less of it: hard.
+    Control points within `plane_px` of one homography lie on one plane, and so do those of the pairs in `one_plane`.
+    More than `easy_share` of X_L is right: easy; less than `hard_share`: hard.
     """
 
     labels: LabelSettings = field(default_factory=LabelSettings)
@@ -61,7 +53,7 @@ class TruthSettings:
         return "hard" if right_share < self.hard_share else "medium"
 
 
-def truth_settings(params: TruthParams) -> TruthSettings:
+def truth_settings(params: "TruthParams") -> TruthSettings:
     """Return the settings of a parameter file."""
     return TruthSettings(
         labels=LabelSettings.of(params),
@@ -90,10 +82,7 @@ class Truth:
 def pair_truth(pair: Pair, settings: TruthSettings) -> Truth:
     """Return the ground truth of a pair; its control points are read.
 
-    Raises
-    ------
-    DatasetError
-        If the pair has neither control points nor cameras nor an F, or a file is damaged.
+    DatasetError if the pair has neither control points nor cameras nor an F, or a file is damaged.
     """
     x1, x2 = evaluation_points(pair)
     F = None
@@ -129,12 +118,8 @@ def evaluation_points(pair: Pair) -> tuple[FloatArray, FloatArray]:
     """Return the control points of a pair, or where it has none, points that its cameras or its F allow.
 
     Without control points it is unknown what the two images share. A regular grid of points of image 1 is then paired
-    with points on their true epipolar lines, spread over the part of each line that image 2 shows.
-
-    Raises
-    ------
-    DatasetError
-        If the pair has no control points, cameras or F, or no epipolar line meets image 2.
+    with points on their true epipolar lines, spread over the part of each line that image 2 shows. DatasetError if the
+    pair has no control points, cameras or F, or no epipolar line meets image 2.
     """
     if pair.control_points_path is not None:
         return pair.control_points()
@@ -156,8 +141,8 @@ def evaluation_points(pair: Pair) -> tuple[FloatArray, FloatArray]:
 def true_roll_deg(pair: Pair) -> float:
     """Return the roll between the cameras, degrees in (-180, 180]; NaN without cameras.
 
-    The angle of the rotation that lies closest to the upper left 2 x 2 block of the relative rotation: how
-    directions near the optical axis turn in the image, clockwise as seen on the screen.
+    The angle of the rotation closest to the upper left 2 x 2 block of the relative rotation: how directions near the
+    optical axis turn in the image, clockwise as seen on the screen.
     """
     if pair.camera1 is None or pair.camera2 is None:
         return float("nan")

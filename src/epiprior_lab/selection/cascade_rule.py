@@ -5,8 +5,6 @@ takes one or the other, so each rule's outcome follows from these runs; nothing 
 together choose one rule, since validation scenes are few, and rarely are all estimators wrong on one at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,16 +23,8 @@ NEVER = CascadeRule(min_plausibility=1.0)  # where no other rule keeps within th
 def paired_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs without preprocessing beside the same runs with it; other inputs are left out.
 
-    Parameters
-    ----------
-    runs : DataFrame
-        Of `epiprior_lab.evaluation.records.Tables`.
-
-    Returns
-    -------
-    DataFrame
-        One row per group, pair, estimator and seed: ``status`` and ``plausibility`` without preprocessing,
-        ``with_status`` with it, and the errors ``without_px``, ``with_px``, infinite without F, whatever the status.
+    One row per group, pair, estimator and seed: ``status`` and ``plausibility`` without preprocessing, ``with_status``
+    with it, and the errors ``without_px``, ``with_px``, infinite without F, whatever the status.
     """
     keys = ["group", "pair_id", "scene", "estimator", "seed"]
     table = runs.assign(error_px=runs["error_px"].fillna(np.inf))
@@ -88,21 +78,11 @@ class LearntRule:
 def learn_rule(runs: pd.DataFrame, params: CascadeParams, *, success_px: float, strict_px: float) -> LearntRule:
     """Choose the rule that preprocesses least and loses no more than is tolerated, over all estimators together.
 
-    Parameters
-    ----------
-    runs : DataFrame
-        Of all estimators, as from `paired_runs`, on validation scenes.
-    params : CascadeParams
-        Values that are tried, and the tolerances: shares of all runs that may be lost. Runs that the cascade wins do
-        not make up for lost ones.
-    success_px, strict_px : float
-        Of success, pixels: `CascadeParams.tolerance` holds at the first, where the cascade gave a wrong answer instead
-        of a right one, `CascadeParams.strict_tolerance` at the second, where it mostly gave a less exact one.
-
-    Notes
-    -----
-    Of equals the strictest. Few pairs decide, hence a margin: the rule with the next lower value must lose no more than
-    is tolerated either.
+    `runs` are those of `paired_runs` on validation scenes. At `success_px`, where the cascade gave a wrong answer
+    instead of a right one, `CascadeParams.tolerance` is the share of all runs that may be lost; at `strict_px`, where
+    it mostly gave a less exact one, `CascadeParams.strict_tolerance`. Runs that the cascade wins do not make up for
+    lost ones. Of equals the strictest. Few pairs decide, hence a margin: the rule with the next lower value must lose
+    no more than is tolerated either.
     """
     rules = candidate_rules(params)
     kept = kept_runs(runs, rules)

@@ -7,12 +7,10 @@ Baselines are searched as carefully as ranked matches. Matching is done once per
 pair and estimator, and measures F alone: its status, support and plausibility, half of the time, decide nothing here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -23,7 +21,7 @@ from epiprior.types import EMPTY_MAPPING, FloatArray
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches, match_folder, store_matches
 from epiprior_lab.evaluation.runs import EstimatorInputs, each_run
-from epiprior_lab.evaluation.statistics import area_under_success_curve, successes
+from epiprior_lab.evaluation.statistics import area_under_success_curve
 from epiprior_lab.labels.ground_truth import errors_px
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import HandOverParams
@@ -65,17 +63,17 @@ class Trial:
 
         Both thresholds count alike: few pairs decide, and a choice by either alone would follow their noise.
         """
-        together = sum(int(successes(self.errors_px, threshold).sum()) for threshold in (SUCCESS_PX, STRICT_PX))
+        together = sum(int((self.errors_px < threshold).sum()) for threshold in (SUCCESS_PX, STRICT_PX))
         return together, round(area_under_success_curve(self.errors_px, SUCCESS_PX), 9)
 
     @property
     def pair_scores(self) -> FloatArray:
         """Per pair: successes below 10 px, below 3 px, and the area under the curve, in equal parts."""
         area = [area_under_success_curve(errors, SUCCESS_PX) for errors in self.errors_px]
-        both = [successes(self.errors_px, threshold).mean(axis=1) for threshold in (SUCCESS_PX, STRICT_PX)]
+        both = [(self.errors_px < threshold).mean(axis=1) for threshold in (SUCCESS_PX, STRICT_PX)]
         return np.asarray(np.mean([area, *both], axis=0))
 
-    def gains_on(self, other: Trial) -> bool:
+    def gains_on(self, other: Self) -> bool:
         """Return whether the pairs do better than in `other`, in the mean, by more than the standard error of that."""
         gain = self.pair_scores - other.pair_scores
         error = gain.std(ddof=1) / np.sqrt(len(gain)) if len(gain) > 1 else 0.0
@@ -87,10 +85,7 @@ def trial_table(best: Mapping[Place, Trial], trials: Sequence[Trial]) -> pd.Data
     rows = []
     for trial in trials:
         pairs, seeds = trial.errors_px.shape
-        counts = {
-            f"successes_{threshold:g}": int(successes(trial.errors_px, threshold).sum()) / seeds
-            for threshold in (SUCCESS_PX, STRICT_PX)
-        }
+        counts = {f"successes_{t:g}": int((trial.errors_px < t).sum()) / seeds for t in (SUCCESS_PX, STRICT_PX)}
         rows.append(
             {"estimator": trial.estimator, "input": trial.input, "step": trial.step, **asdict(trial.how)}
             | {"pairs": pairs, **counts, "area": trial.score[1]}
@@ -118,8 +113,8 @@ def candidate_errors(
 ) -> FloatArray:
     """Return the errors of all candidates of one estimator on one pair, shape (len(candidates), len(seeds)).
 
-    They are pixels, NaN without a fundamental matrix. `known` tells per input a hand-over that was tried before, and
-    its errors: nothing runs again for a candidate that comes to the same.
+    Pixels, NaN without a fundamental matrix. `known` holds per input a hand-over that was tried before, and its errors:
+    nothing runs again for a candidate that hands over the same matches.
     """
     points, sets = pair.control_points(), matches.read()
     found = {(name, _effect(sets, name, how)): list(before) for name, (how, before) in known.items()}
@@ -152,23 +147,10 @@ def search_hand_overs(
     workers: int = 1,
     store: Path | None = None,
 ) -> tuple[dict[Place, Trial], list[Trial]]:
-    """Search the best hand-over of every input to every estimator.
+    """Search the best hand-over of every input to every estimator on validation pairs.
 
-    Parameters
-    ----------
-    pairs : sequence of Pair
-        Validation pairs.
-    inputs : mapping of str to sequence of str
-        For each estimator the inputs that it gets.
-    files : sequence of Path
-        The model files, which decide the matches beside the pairs' own files.
-
-    Returns
-    -------
-    best : dict of (estimator, input) to Trial
-        What the search ended at.
-    trials : list of Trial
-        All of them, in order.
+    Return what the search ended at, and all trials in order. `inputs` lists for each estimator the inputs that it gets;
+    `files`, the model files, decide the matches beside the pairs' own files.
     """
     used = tuple(dict.fromkeys(name for names in inputs.values() for name in names))
     with match_folder(store) as folder:
@@ -179,16 +161,11 @@ def search_hand_overs(
             for estimator, candidates in planned.items():
                 names = tuple(dict.fromkeys(name for name, _ in candidates))
                 before = {name: best[estimator, name] for name in names if (estimator, name) in best}
+                common = {"estimator": estimator, "candidates": tuple(candidates), "seeds": params.seeds}
                 for k, (pair, matches) in enumerate(zip(pairs, matched, strict=True)):
                     needed = matches.only(names)
-                    payload = {
-                        "pair": pair,
-                        "matches": needed,
-                        "estimator": estimator,
-                        "candidates": tuple(candidates),
-                        "seeds": params.seeds,
-                        "known": {name: (t.how, tuple(t.errors_px[k].tolist())) for name, t in before.items()},
-                    }
+                    known = {name: (t.how, tuple(t.errors_px[k].tolist())) for name, t in before.items()}
+                    payload = {"pair": pair, "matches": needed, "known": known, **common}
                     files = (*pair.files, *needed.paths.values())
                     tasks.append(Task(name=f"{pair.pair_id} {estimator} {step}", payload=payload, files=files))
             description = f"hand-over, step {step + 1}"
@@ -204,9 +181,10 @@ def _search(
     params: HandOverParams,
     run: Callable[[Candidates, Mapping[Place, Trial], int], dict[str, FloatArray]],
 ) -> tuple[dict[Place, Trial], list[Trial]]:
-    """Vary one setting after the other; `run` returns errors of shape (candidates, pairs, seeds) per estimator.
+    """Vary one setting after the other.
 
-    It is told the best trials so far, to which some candidates come down on some pairs.
+    `run` gets the candidates, the best trials so far, to which some candidates come down on some pairs, and the step;
+    it returns errors of shape (candidates, pairs, seeds) per estimator.
     """
     varied = {(e, name): coordinates(e, name, params) for e, names in inputs.items() for name in names}
     best: dict[Place, Trial] = {}
@@ -233,10 +211,7 @@ def _search(
 
 
 def choose(known: Trial, challengers: Sequence[Trial]) -> Trial:
-    """Return the challenger with the highest score of those that gain on what is known; `known` where none does.
-
-    Of equals, the first tried.
-    """
+    """Return the challenger with the highest score that gains on `known`, else `known`; of equals, the first."""
     return max((trial for trial in challengers if trial.gains_on(known)), key=lambda trial: trial.score, default=known)
 
 

@@ -1,7 +1,5 @@
 """Stage `analysis`: what each part of the method contributes, what limits the results, and the paper's Table 1."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from epiprior.estimators.handover import load_hand_overs
@@ -9,9 +7,9 @@ from epiprior_lab.analysis.analyse import analyse_pairs
 from epiprior_lab.analysis.bench import AnalysisSettings
 from epiprior_lab.compute.tasks import default_workers, single_threaded
 from epiprior_lab.evaluation.inputs import PRESETS, model_files
+from epiprior_lab.evaluation.protocol import MODELS, pairs_of
 from epiprior_lab.evaluation.records import Tables
 from epiprior_lab.labels.ground_truth import LabelSettings
-from epiprior_lab.pairsets import read_pair_set
 from epiprior_lab.params import load_study
 from epiprior_lab.report.analysis import write_analysis
 
@@ -23,10 +21,7 @@ def main() -> None:
     """Write ``data/analysis/*.csv`` and everything in ``reports/analysis``."""
     params = load_study()
     report, own, evaluate = params.report, params.analysis, params.evaluate
-    pairs = {
-        group: read_pair_set(evaluate.pairs_of(group), evaluate.control_points_of(group)).pairs
-        for group in evaluate.groups
-    }
+    pairs = {group: pairs_of(evaluate, group) for group in evaluate.groups}
     analysis = analyse_pairs(
         {group: pairs[group][: own.pairs_per_group] for group in (*report.hard_groups, *report.easy_groups)},
         complete=report.hard_groups,
@@ -39,9 +34,9 @@ def main() -> None:
             refined_hypotheses=own.refined_hypotheses,
             success_px=report.success_px,
         ),
-        hand_overs=load_hand_overs(Path("models/hand_over.json")),
+        hand_overs=load_hand_overs(MODELS / "hand_over.json"),
         labels=LabelSettings.of(params.truth),
-        files=model_files(Path("models"), PRESETS),
+        files=model_files(MODELS, PRESETS),
         workers=default_workers(),
         store=Path("data/.tasks/analysis"),
     )

@@ -1,17 +1,16 @@
 """Stage `cascade`: when an estimate without preprocessing is kept, chosen on validation scenes, tried on test pairs."""
 
-from __future__ import annotations
-
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 
 from epiprior.verification.cascade import save_cascade_rule
 from epiprior_lab.compute.tasks import default_workers
+from epiprior_lab.evaluation.evaluate import run_pairs
 from epiprior_lab.evaluation.inputs import PREPROCESSED, WITHOUT, model_files, store_matches
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, validation_pairs
 from epiprior_lab.evaluation.records import RunRecord, Tables, to_frame
-from epiprior_lab.evaluation.runs import run_pairs
 from epiprior_lab.params import StudyParams, load_study
 from epiprior_lab.report.cascade import cascade_figure, learnt_page
 from epiprior_lab.selection.cascade_rule import learn_rule, paired_runs
@@ -23,32 +22,13 @@ STORE = Path("data/.tasks/validation")  # where the stage `hand_over` left the m
 def validation_runs(params: StudyParams) -> pd.DataFrame:
     """Return the runs on validation scenes, without and with the preprocessing step."""
     protocol, workers = make_protocol(params), default_workers()
-    inputs = {
-        estimator: tuple(name for name in names if name in (*WITHOUT, PREPROCESSED))
-        for estimator, names in protocol.inputs.items()
-    }
+    compared = {e: [n for n in names if n in (*WITHOUT, PREPROCESSED)] for e, names in protocol.inputs.items()}
+    asked, files = protocol.all_inputs, model_files(MODELS, protocol.all_inputs)
+    own, at = replace(protocol, inputs=compared, seeds=params.cascade.seeds), STORE / "matches"
     records = []
     for group, pairs in validation_pairs(params.scenes.families).items():
-        matched = store_matches(
-            pairs,
-            protocol.all_inputs,
-            STORE / "matches",
-            files=model_files(MODELS, protocol.all_inputs),
-            workers=workers,
-            description=f"match {group}",
-        )
-        records += run_pairs(
-            pairs,
-            matched,
-            group=group,
-            inputs=inputs,
-            seeds=params.cascade.seeds,
-            hand_overs=protocol.hand_overs,
-            truth=protocol.truth,
-            measures=protocol.measures,
-            workers=workers,
-            store=STORE,
-        )
+        matched = store_matches(pairs, asked, at, files=files, workers=workers, description=f"match {group}")
+        records += run_pairs(pairs, matched, own, group=group, workers=workers, store=STORE)
     return to_frame(RunRecord, records)
 
 

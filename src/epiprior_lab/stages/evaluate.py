@@ -1,7 +1,5 @@
 """Stage `evaluate`: estimators without and with the preprocessing step on the pairs of one group."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path

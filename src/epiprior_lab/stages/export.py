@@ -1,7 +1,5 @@
 """Stage `export`: the model folder of every preset, checked through the library that will load it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from epiprior_lab.export.model_folder import export_model

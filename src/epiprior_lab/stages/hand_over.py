@@ -1,7 +1,5 @@
 """Stage `hand_over`: how matches are handed to each estimator, chosen on validation scenes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from epiprior.estimators.handover import save_hand_overs

@@ -28,10 +28,7 @@ def render_solvable(
 ) -> PairFiles:
     """Return the first of some draws whose X holds at least `least_right` right matches; of 0, the first.
 
-    Raises
-    ------
-    SceneError
-        If there is none in 20 draws.
+    SceneError if there is none in 20 draws.
     """
     for draw in range(_DRAWS):
         # The first draw is that of the seed itself.

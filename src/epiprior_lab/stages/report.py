@@ -1,7 +1,5 @@
 """Stage `report`: tables, figures and the page of an evaluation, of rendered scenes or of photographs."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

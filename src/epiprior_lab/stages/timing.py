@@ -1,7 +1,5 @@
 """Stage `timing`: a leaf that measures time; no other stage reads what it writes."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

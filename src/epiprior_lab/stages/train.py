@@ -1,7 +1,5 @@
 """Stage `train`: compare the families of classifiers for both targets, and refit the one that is exported."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 

@@ -96,7 +96,6 @@ def test_a_deterministic_estimator_runs_once(pairs, monkeypatch):
     class Fixed:
         deterministic = True
 
-    assert not runs.is_deterministic("usac")
     asked = []
 
     def run(sets, *, estimator, seed, **_):
@@ -142,7 +141,7 @@ def test_an_estimate_is_measured_whatever_its_status(tmp_path):
         status=Status.DEGENERATE, F=None, raw_F=F, x1=x1, x2=x2, inliers=np.zeros(60, np.bool_), support=0,
         estimator="usac",
     )  # fmt: skip
-    key = {"group": "g", "estimator": "usac", "name": "snn", "seed": 0, "threshold_px": 1.5}
+    key = {"group": "g", "estimator": "usac", "input": "snn", "seed": 0, "threshold_px": 1.5}
     measures = MeasureSettings(seed=1, distance_points=50)
     record = runs.run_record(turned_down, pair, truth, measures, **key)
     assert (record.status, record.input) == ("degenerate", "snn")

@@ -102,7 +102,6 @@ def test_success_curve(rng):
         assert d == pytest.approx(math.sqrt(sum((c - m) ** 2 for c in counts) / 3))
     assert mean[-1] == pytest.approx((30 * 4 - 2) / 4)
     np.testing.assert_array_equal(st.success_curve(errors[:, :1], thresholds)[1], 0)
-    assert not st.successes([10.0], 10.0)[0]
 
 
 def test_area_is_the_integral_of_the_curve(rng):
