@@ -168,8 +168,8 @@ def _success_blocks(table: pd.DataFrame, reference: str) -> list[Block]:
         for threshold in part["threshold_px"].unique():
             head += [f"below {threshold:g} px", f"against {reference}"]
         rows = []
-        for _, own in part.groupby(keys, sort=False):
-            cells = [_label(own.iloc[0]), *(str(own.iloc[0][key]) for key in keys[1:])]
+        for (variant, ranking, estimator), own in part.groupby(keys, sort=False):
+            cells = [_LABELS.get(str(variant), str(variant)), str(ranking), str(estimator)]
             for row in own.to_dict("records"):
                 cells += [interval(row, "successes", lambda value: number(value, 1))]
                 cells += [interval(row, "difference", signed) or "–"]
@@ -241,7 +241,7 @@ def _pair_block(evaluated: Tables, group: str, pair_id: str, success_px: float) 
     columns = {"matches": "matches", "right": "right matches"}
     columns |= {"right_10": "right of the first 10", "right_100": "right of the first 100"}
     rows = [
-        [title, *(f"{of_list.at[(name, ranking), column]:,}" for _, name, ranking, _ in _LISTS)]
+        [title, *(f"{of_list.loc[(name, ranking), column]:,}" for _, name, ranking, _ in _LISTS)]
         for column, title in columns.items()
     ]
     rows.append(["success", *(_success(runs[runs["input"] == name], success_px) for *_, name in _LISTS)])

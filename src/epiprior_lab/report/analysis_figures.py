@@ -11,19 +11,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from epiprior_lab.analysis.records import Analysis
+from epiprior_lab.report import style
 from epiprior_lab.report.analysis_tables import errors_of
-from epiprior_lab.report.style import (
-    GRID,
-    INK,
-    SERIES,
-    Look,
-    axis_legend,
-    draw_curves,
-    label_grid,
-    legend,
-    save,
-    styled,
-)
+from epiprior_lab.report.style import GRID, INK, SERIES, Look, legend, save, styled
 from epiprior_lab.report.text import order_of
 
 STEP_LOOKS = {
@@ -67,7 +57,7 @@ def steps_figure(analysis: Analysis, path: Path) -> None:
                 name: errors_of(steps, group=group, variant=name, estimator=first[name]).to_numpy(np.float64)
                 for name in looks
             }
-            draw_curves(axis, looks, errors, np.array([3.5, 7.0, 12.5, 17.0]), bold="beyond")
+            style.draw_curves(axis, looks, errors, np.array([3.5, 7.0, 12.5, 17.0]), bold="beyond")
             pairs = steps.loc[steps["group"] == group, "pair_id"].nunique()
             axis.set(title=group, ylim=(0, pairs * 1.02), xlabel="threshold, px")
         axes[0][0].set_ylabel("successful pairs")
@@ -101,7 +91,7 @@ def ablation_figure(
                 axis.set_yticks(np.arange(len(variants))[::-1], names if axis is row[0] else [""] * len(names))
                 axis.tick_params(axis="y", labelsize=9, labelcolor=INK)
                 axis.grid(axis="y", visible=False)
-        label_grid(axes, rows=groups, columns=[title for _, title, _ in panels])
+        style.label_grid(axes, rows=groups, columns=[title for _, title, _ in panels])
         legend(figure, list(_RANKING_LOOKS.values()), markers=True)
         save(figure, path)
 
@@ -137,5 +127,5 @@ def lost_figure(lost: pd.DataFrame, path: Path) -> None:
             axis.set_yticks(y, [f"{g}\n{e}" for g, e in zip(part["group"], part["estimator"], strict=True)])
             axis.tick_params(axis="y", labelsize=8.5, labelcolor=INK)
             axis.grid(axis="y", visible=False)
-        axis_legend(figure, axes[0][0])
+        style.axis_legend(figure, axes[0][0])
         save(figure, path)

@@ -96,7 +96,7 @@ def _contribution(bound: Bound, results: Results, tables: Mapping[str, pd.DataFr
     return row | ({"kept": kept, "of": len(ours)} if bound.estimator == EVERY else {})
 
 
-def _found_in(row: Row, name: str) -> dict[str, Any]:
+def _found_in(row: Any, name: str) -> dict[str, Any]:
     return {"found": row[name], "low": row[f"{name}_low"], "high": row[f"{name}_high"]}
 
 

@@ -79,8 +79,8 @@ def learnt_page(learnt: LearntRule, params: CascadeParams, success_px: float, st
     values = {"tolerance": params.tolerance, "strict_tolerance": params.strict_tolerance}
     about = say("learnt", rule=rule_in_words(learnt.rule), success_px=success_px, strict_px=strict_px, **values)
     head = ("estimator", "preprocessed", "lost", "preprocessed, held out", "lost, held out")
-    blocks = [Table(head=head, rows=rows), picture("cascade", figure)]
-    section = Section(title="The rule on validation scenes", blocks=blocks)
+    table, title = Table(head=head, rows=rows), "The rule on validation scenes"
+    section = Section(title=title, blocks=[table, picture("cascade", figure)])
     return Page(title="The cascade: preprocessing only where it is needed", about=about, sections=[section])
 
 

@@ -61,7 +61,7 @@ def success_figure(successes: pd.DataFrame, groups: Sequence[str], thresholds_px
                 for k, (name, look) in enumerate(looks.items()):
                     own = part[part["input"] == name].set_index("estimator").reindex(estimators)
                     height = y + 0.12 * ((len(looks) - 1) / 2 - k)  # equal numbers must not hide each other
-                    how = {"color": look.colour, "ms": 6 if look.marker == "o" else 4.5, "lw": 0.9, **DOTS}
+                    how: Any = {"color": look.colour, "ms": 6 if look.marker == "o" else 4.5, "lw": 0.9, **DOTS}
                     axis.errorbar(own["successes"], height, xerr=own["successes_sd"], fmt=look.marker, **how)
                 axis.set(xlim=(-0.03 * pairs, 1.03 * pairs), xlabel=f"pairs of {pairs} below {threshold:g} px")
                 axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))  # pairs are whole

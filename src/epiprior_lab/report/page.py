@@ -119,9 +119,9 @@ def _prose(text: str) -> list[str]:
 def render_html(page: Page) -> str:
     """Return a page as HTML, all of it in one file but for the pictures."""
     reader = MarkdownIt("commonmark", {"html": False})
-    blanks = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
     loader = jinja2.PackageLoader("epiprior_lab.report")
-    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, **blanks)
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.trim_blocks = environment.lstrip_blocks = environment.keep_trailing_newline = True
     environment.filters["inline"] = lambda text: Markup(reader.renderInline(text))
     environment.filters["prose"] = lambda text: Markup(reader.render(text))
     for name, kind in {"prose": str, "table": Table, "picture": Picture}.items():

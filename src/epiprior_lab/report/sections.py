@@ -102,8 +102,8 @@ def all_sections(material: Material) -> list[Section]:
         "Gallery": _gallery,
         "Bounds": _bounds,
     }
-    needs = {_duels: "duels", _cascade: CASCADE, _hand_over: "hand_over", _classifiers: "classifiers"}
-    needs |= {_limits: "limits", _bounds: "bounds"}
+    needs: dict[_Maker, str] = {_duels: "duels", _cascade: CASCADE, _hand_over: "hand_over"}
+    needs |= {_classifiers: "classifiers", _limits: "limits", _bounds: "bounds"}
     return [
         Section(title=title, blocks=[block for block in make(material) if block])
         for title, make in makers.items()
