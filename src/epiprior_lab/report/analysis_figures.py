@@ -11,13 +11,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from epiprior_lab.analysis.records import Analysis
-from epiprior_lab.evaluation.statistics import success_curve
+from epiprior_lab.report import style
 from epiprior_lab.report.analysis_tables import errors_of
-from epiprior_lab.report.style import GRID, INK, MUTED, SERIES, Look, legend, save, styled
+from epiprior_lab.report.style import GRID, INK, SERIES, Look, legend, save, styled
 from epiprior_lab.report.text import order_of
-
-_LIMIT_PX = 20.0
-_BARS_PX = np.array([3.5, 7.0, 12.5, 17.0])
 
 STEP_LOOKS = {
     "standard": Look("standard input (X_L)", "#8b919b", ":", ""),
@@ -29,11 +26,7 @@ STEP_LOOKS = {
     "default": Look("ours, default", "#e69f00", "-", ""),
     "beyond": Look("ours, default", "#d55e00", "-", ""),
 }
-VARIANT_NAMES = {
-    "default": "as it is",
-    "X alone": "X without X_L and X_B",
-    "oriented matches": "two oriented matches",
-}
+VARIANT_NAMES = {"default": "as it is", "X alone": "X without X_L and X_B", "oriented matches": "two oriented matches"}
 LOST = {
     "chosen": ("right F chosen", "#009e73"),
     "missed": ("right F missed", "#56b4e9"),
@@ -47,12 +40,11 @@ _RANKING_LOOKS = {
 }
 
 
-def steps_figure(analysis: Analysis, path: Path) -> Path:
+def steps_figure(analysis: Analysis, path: Path) -> None:
     """Draw successful pairs over the threshold for every step: the paper's figure, a panel per complete group.
 
     Bars are one standard deviation over seeds. Of a step with several estimators, the first one's curve is drawn.
     """
-    grid = np.linspace(0, _LIMIT_PX, 201)
     groups = order_of(analysis.limits["group"])
     steps = analysis.variants[analysis.variants["experiment"] == "steps"]
     first = steps.drop_duplicates("variant").set_index("variant")["estimator"]
@@ -61,34 +53,22 @@ def steps_figure(analysis: Analysis, path: Path) -> Path:
         looks[name] = replace(looks[name], label=f"{looks[name].label}, {first[name]}")
     with styled(1, len(groups), (4.6 * len(groups), 4.4), sharey=True) as (figure, axes):
         for axis, group in zip(axes[0], groups, strict=True):
-            for k, (name, look) in enumerate(looks.items()):
-                errors = errors_of(steps, group=group, variant=name, estimator=first[name]).to_numpy(np.float64)
-                width = 2.4 if name == "beyond" else 1.7
-                axis.plot(grid, success_curve(errors, grid)[0], color=look.colour, ls=look.line, lw=width)
-                at = _BARS_PX + 0.25 * (k - (len(looks) - 1) / 2)  # side by side, so that bars do not hide bars
-                mean, deviation = success_curve(errors, at)
-                axis.errorbar(at, mean, deviation, fmt="none", ecolor=look.colour, elinewidth=0.9, alpha=0.8)
-            axis.axvline(10, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
-            axis.set(title=group, xlim=(0, _LIMIT_PX), ylim=(0, len(errors) * 1.02), xlabel="threshold, px")
+            errors = {
+                name: errors_of(steps, group=group, variant=name, estimator=first[name]).to_numpy(np.float64)
+                for name in looks
+            }
+            style.draw_curves(axis, looks, errors, np.array([3.5, 7.0, 12.5, 17.0]), bold="beyond")
+            pairs = steps.loc[steps["group"] == group, "pair_id"].nunique()
+            axis.set(title=group, ylim=(0, pairs * 1.02), xlabel="threshold, px")
         axes[0][0].set_ylabel("successful pairs")
         legend(figure, list(looks.values()))
-        return save(figure, path)
+        save(figure, path)
 
 
 def ablation_figure(
     precision: pd.DataFrame, successes: pd.DataFrame, thresholds_px: Sequence[float], path: Path
-) -> Path:
-    """Draw each variant's precision and successes as dots with 95 % intervals, a row per group.
-
-    Parameters
-    ----------
-    precision, successes : DataFrame
-        As from `analysis_tables.precision_table` and `success_table`.
-    thresholds_px : sequence of float
-        Which successes.
-    path : Path
-        PNG file.
-    """
+) -> None:
+    """Draw each variant's precision and successes as dots with 95 % intervals, a row per group."""
     ablation = successes[successes["experiment"] == "ablation"]
     panels = [("precision_10", "right of the first 10", 0.0), ("precision_100", "right of the first 100", 0.0)]
     panels += [("successes", f"pairs below {threshold:g} px", threshold) for threshold in thresholds_px]
@@ -103,17 +83,17 @@ def ablation_figure(
             of_group = ablation[ablation["group"] == group]
             variants = sorted(order_of(of_group["variant"]), key=lambda name: name != "default")
             names = [VARIANT_NAMES.get(name, name) for name in variants]
-            for axis, (measure, title, threshold) in zip(row, panels, strict=True):
+            for axis, (measure, _, threshold) in zip(row, panels, strict=True):
                 counted = of_group[of_group["threshold_px"] == threshold]
                 _dots(axis, counted if threshold else precision[precision["group"] == group], variants, measure)
                 limit = 1.02 * (counted["pairs"].max() if threshold else 1)
-                axis.set(xlim=(0, limit), title=title if row is axes[0] else "", ylim=(-0.6, len(variants) - 0.4))
+                axis.set(xlim=(0, limit), ylim=(-0.6, len(variants) - 0.4))
                 axis.set_yticks(np.arange(len(variants))[::-1], names if axis is row[0] else [""] * len(names))
                 axis.tick_params(axis="y", labelsize=9, labelcolor=INK)
                 axis.grid(axis="y", visible=False)
-            row[0].set_ylabel(group, fontweight="bold")
+        style.label_grid(axes, rows=groups, columns=[title for _, title, _ in panels])
         legend(figure, list(_RANKING_LOOKS.values()), markers=True)
-        return save(figure, path)
+        save(figure, path)
 
 
 def _dots(axis: Axes, table: pd.DataFrame, variants: Sequence[str], measure: str) -> None:
@@ -129,7 +109,7 @@ def _dots(axis: Axes, table: pd.DataFrame, variants: Sequence[str], measure: str
             axis.axvline(value[0], color=GRID, lw=1.6, zorder=0)
 
 
-def lost_figure(lost: pd.DataFrame, path: Path) -> Path:
+def lost_figure(lost: pd.DataFrame, path: Path) -> None:
     """Draw where successes are lost as stacked bars: a panel per threshold, a bar per group and estimator."""
     thresholds = list(dict.fromkeys(lost["threshold_px"]))
     bars = len(lost) // len(thresholds)
@@ -147,6 +127,5 @@ def lost_figure(lost: pd.DataFrame, path: Path) -> Path:
             axis.set_yticks(y, [f"{g}\n{e}" for g, e in zip(part["group"], part["estimator"], strict=True)])
             axis.tick_params(axis="y", labelsize=8.5, labelcolor=INK)
             axis.grid(axis="y", visible=False)
-        handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(handles))
-        return save(figure, path)
+        style.axis_legend(figure, axes[0][0])
+        save(figure, path)

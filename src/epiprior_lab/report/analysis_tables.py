@@ -11,21 +11,14 @@ import pandas as pd
 from epiprior.types import FloatArray
 from epiprior_lab.analysis.records import NO_ESTIMATOR, Analysis
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.evaluation.statistics import Interval, bootstrap_mean, paired_bootstrap
-from epiprior_lab.report.results import ROUNDING
+from epiprior_lab.evaluation.statistics import bootstrap_mean, paired_bootstrap
+from epiprior_lab.report.results import interval_columns
 from epiprior_lab.report.text import order_of
 
+PRECISIONS = ("precision_10", "precision_100", "average_precision")
 ENOUGH = (8, 15)  # right one-to-one matches: an F is determined; an F is found
-BEST_HYPOTHESIS = "best rough F, refined on all"
-CEILING = "right matches"
 _KEY = ["experiment", "variant", "ranking", "estimator"]
 Key = tuple[str, ...]
-
-
-def interval_columns(name: str, interval: Interval, factor: float = 1.0) -> dict[str, float]:
-    """Return the columns `name`, `name`_low and `name`_high of an interval, times `factor`; rounding noise is 0."""
-    ends = {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
-    return {column: 0.0 if abs(value) < ROUNDING else value * factor for column, value in ends.items()}
 
 
 def errors_of(variants: pd.DataFrame, **where: str) -> pd.DataFrame:
@@ -43,12 +36,7 @@ def rate_of(variants: pd.DataFrame, threshold: float, **where: str) -> FloatArra
 def reference_of(key: Key, main: str) -> Key:
     """Return what a variant is compared with: the whole method, as printed or `default`.
 
-    Parameters
-    ----------
-    key : tuple of str
-        Experiment, variant, ranking, estimator.
-    main : str
-        The estimator of all variants; runs without an estimator are compared with its runs.
+    A key holds experiment, variant, ranking and estimator; runs without an estimator are compared with runs of `main`.
     """
     experiment, variant, ranking, estimator = key
     if experiment == "ablation":
@@ -61,25 +49,11 @@ def reference_of(key: Key, main: str) -> Key:
 def success_table(
     analysis: Analysis, main: str, *, thresholds_px: Sequence[float], draws: int, seed: int
 ) -> pd.DataFrame:
-    """Return successes of every variant in every group, and the difference from its reference.
+    """Return successes of every variant in every group; `main` is the estimator of all variants.
 
-    Parameters
-    ----------
-    analysis : Analysis
-        Records of all pairs.
-    main : str
-        The estimator of all variants.
-    thresholds_px : sequence of float
-        Thresholds of success, pixels.
-    draws, seed : int
-        Of the bootstrap, which draws whole scenes.
-
-    Returns
-    -------
-    DataFrame
-        ``threshold_px, group, experiment, variant, ranking, estimator, pairs``; ``successes``, the mean over seeds
-        of the number of pairs; ``difference`` from `reference_of`, in pairs, empty for a reference; both with the
-        ends of their 95 % interval, ``_low`` and ``_high``.
+    Columns: ``threshold_px, group, experiment, variant, ranking, estimator, pairs``; ``successes``, the mean over seeds
+    of the number of pairs; ``difference`` from `reference_of`, in pairs, empty for a reference; both with the ends of
+    their 95 % interval, ``_low`` and ``_high``.
     """
     rows = []
     for threshold in thresholds_px:
@@ -106,7 +80,7 @@ def precision_table(analysis: Analysis, *, draws: int, seed: int) -> pd.DataFram
     for (group, variant, ranking), part in analysis.precision.groupby(["group", "variant", "ranking"], sort=False):
         row: dict[str, Any] = {"group": group, "variant": variant, "ranking": ranking, "pairs": len(part)}
         scenes = part["scene"].astype(str).tolist()
-        for measure in ("precision_10", "precision_100", "average_precision"):
+        for measure in PRECISIONS:
             child = child_seed(seed, str(group), measure)
             row |= interval_columns(measure, bootstrap_mean(part[measure], draws=draws, seed=child, groups=scenes))
         rows.append(row)
@@ -116,11 +90,8 @@ def precision_table(analysis: Analysis, *, draws: int, seed: int) -> pd.DataFram
 def limits_table(analysis: Analysis) -> pd.DataFrame:
     """Return what the pairs of every group allow.
 
-    Returns
-    -------
-    DataFrame
-        ``group, pairs``, medians of ``right_in_x``, right one-to-one matches of X, and of ``good_rough``, the share of
-        good rough matrices, and the share of pairs with at least 8 and 15 right matches: ``enough_8``, ``enough_15``.
+    Columns: ``group, pairs``; medians of ``right_in_x``, right one-to-one matches of X, and of ``good_rough``, the
+    share of good rough matrices; shares of pairs with at least 8 and 15 right matches, ``enough_8, enough_15``.
     """
     rows = []
     for group, part in analysis.limits.groupby("group", sort=False):
@@ -135,22 +106,19 @@ def limits_table(analysis: Analysis) -> pd.DataFrame:
 def lost_table(analysis: Analysis, thresholds_px: Sequence[float]) -> pd.DataFrame:
     """Return where successes are lost.
 
-    Returns
-    -------
-    DataFrame
-        One row per threshold, completely analysed group and estimator on the preset `default`, in pairs (means over
-        seeds): ``chosen``, successes; where a refined rough F would have been one, ``missed``, the chosen F has no
-        more support, weighted by the probabilities, than the best supported F of the oracles that is a success at
-        this threshold, or ``outscored``, it has more; ``hypothesis``, no rough F would have been a success, but a fit
-        to the right matches; ``matches``, not even that.
+    One row per threshold, completely analysed group and estimator on the preset `default`, in pairs (means over
+    seeds): ``chosen``, successes; where a refined rough F would have been one, ``missed``, the chosen F has no more
+    support, weighted by the probabilities, than the best supported F of the oracles that is a success at this
+    threshold, or ``outscored``, it has more; ``hypothesis``, no rough F would have been a success, but a fit to the
+    right matches; ``matches``, not even that.
     """
     oracle = analysis.variants[analysis.variants["experiment"] == "oracle"]
     rows = []
     for threshold in thresholds_px:
         for group in order_of(analysis.limits["group"]):
             part = oracle[oracle["group"] == group]
-            good = rate_of(part, threshold, variant=BEST_HYPOTHESIS) > 0
-            fit = rate_of(part, threshold, variant=CEILING) > 0
+            good = rate_of(part, threshold, variant="best rough F, refined on all") > 0
+            fit = rate_of(part, threshold, variant="right matches") > 0
             known = part[(part["estimator"] == NO_ESTIMATOR) & (part["error_px"] < threshold)]
             truth = known.groupby("pair_id")["score"].max()  # of an F that is right at this threshold
             ours = part[part["variant"] == "default"]

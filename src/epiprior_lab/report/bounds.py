@@ -13,7 +13,7 @@ import yaml
 
 from epiprior_lab.evaluation.records import CASCADE
 from epiprior_lab.report.results import ROUNDING, ReportError, Results
-from epiprior_lab.report.text import ALL, BASELINES, OURS, group_title, input_title, interval, percent, signed
+from epiprior_lab.report.text import ALL, BASELINES, OURS, Row, group_title, input_title, interval, percent, signed
 
 EVERY = "every"
 BOUNDS = Path("benchmarks/bounds.yaml")
@@ -37,13 +37,7 @@ class Bound:
 
 
 def load_bounds(path: Path, pipeline: str) -> list[Bound]:
-    """Read the bounds of one pipeline, ``study`` or ``photographs``.
-
-    Raises
-    ------
-    ReportError
-        If the file cannot be read, or a bound has an unknown measure or key; the message names it.
-    """
+    """Read the bounds of one pipeline, ``study`` or ``photographs``; a ReportError names what is wrong in the file."""
     try:
         found = [Bound(**entry) for entry in yaml.safe_load(path.read_text(encoding="utf-8"))]
     except (OSError, yaml.YAMLError, TypeError) as error:
@@ -69,20 +63,14 @@ def judge(
     Columns: ``measure, group, threshold_px, estimator, input, against``: the bound, with whom the numbers are about;
     ``wanted, found, low, high`` (95 % interval over scenes); ``possible``, what would be found if every pair
     succeeded; ``kept`` of how many estimators ``of`` keep to the bound; ``met``: by the value, of a difference by an
-    interval that excludes the bound for everyone. Without any such pair nothing is found, and not met.
-
-    Raises
-    ------
-    ReportError
-        If a group or an estimator has no results.
+    interval that excludes the bound for everyone. Without any such pair nothing is found, and not met; an estimator
+    without results is a ReportError.
     """
     rows = []
     for bound in bounds:
         row: dict[str, Any] = dict.fromkeys(COLUMNS.split(), np.nan)
         row |= {"wanted": bound.at_most if np.isnan(bound.at_least) else bound.at_least, "met": False}
-        row |= {
-            name: getattr(bound, name) for name in ("measure", "group", "threshold_px", "estimator", "input", "against")
-        }
+        row |= {name: value for name, value in vars(bound).items() if name in row}
         if bound.measure in _OF_TIME and overhead is not None:
             rows.append(row | _time(bound, overhead))
         elif bound.measure in _OF_RESULTS and results is not None and tables is not None:
@@ -103,31 +91,26 @@ def _contribution(bound: Bound, results: Results, tables: Mapping[str, pd.DataFr
     worst = ours.sort_values("gain", kind="stable").iloc[0]
     base = at[(at["estimator"] == worst["estimator"]) & at["input"].isin(BASELINES)]["successes"].iloc[0]
     kept = int((ours["gain"] >= bound.at_least - ROUNDING).sum())
-    row = {
-        "estimator": worst["estimator"],
-        "found": worst["gain"],
-        "low": worst["gain_low"],
-        "high": worst["gain_high"],
-    }
-    row |= {"possible": worst["pairs"] / base - 1 if base else np.inf, "met": kept == len(ours)}
+    row = {"estimator": worst["estimator"], **_found_in(worst, "gain"), "met": kept == len(ours)}
+    row["possible"] = worst["pairs"] / base - 1 if base else np.inf
     return row | ({"kept": kept, "of": len(ours)} if bound.estimator == EVERY else {})
+
+
+def _found_in(row: Any, name: str) -> dict[str, Any]:
+    return {"found": row[name], "low": row[f"{name}_low"], "high": row[f"{name}_high"]}
 
 
 def _best_peer(bound: Bound, results: Results) -> dict[str, Any]:
     """Compare with the best combination of any estimator, this one included, with any input but ours."""
     member = results.masks[bound.group]
-    rates = {
-        (estimator, name): results.errors.of(estimator, name, bound.threshold_px)
-        for estimator in results.estimators
-        for name in results.inputs(estimator)
-        if name not in ("paper", OURS)
-    }
+    peers = [(e, name) for e in results.estimators for name in results.inputs(e) if name not in ("paper", OURS)]
+    rates = {key: results.errors.of(*key, bound.threshold_px) for key in peers}
     best = max(rates, key=lambda key: float(rates[key][member].sum()))
     own = results.errors.of(bound.estimator, bound.input, bound.threshold_px)
     found = results.compare(rates[best], own, member, "champion", str(bound.threshold_px)).contribution
     share = float(rates[best][member].mean())
-    row = {"against": " on ".join((best[0], input_title(best[1])))} | results.interval("found", found, member)
-    row |= {"low": row.pop("found_low"), "high": row.pop("found_high"), "possible": 1 / share - 1 if share else np.inf}
+    row = {"against": f"{best[0]} on {input_title(best[1])}", "possible": 1 / share - 1 if share else np.inf}
+    row |= _found_in(results.interval("found", found, member), "found")
     return row | {"met": found.value >= bound.at_least - ROUNDING}
 
 
@@ -138,8 +121,7 @@ def _difference(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) ->
         raise ReportError(f"no duels on {bound.group}, {bound.input}, below {bound.threshold_px:g} px")
     rival = at.sort_values(["difference_low", "difference"], kind="stable").iloc[0]
     kept = int((at["difference_low"] > bound.at_least + ROUNDING).sum())
-    row = {"against": rival["estimator"], "found": rival["difference"], "low": rival["difference_low"]}
-    row |= {"high": rival["difference_high"], "possible": rival["pairs"] - rival["other"]}
+    row = {"against": rival["estimator"], "possible": rival["pairs"] - rival["other"], **_found_in(rival, "difference")}
     return row | {"kept": kept, "of": len(at), "met": kept == len(at)}
 
 
@@ -149,11 +131,8 @@ def _precision_gain(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]
     if at.empty:
         return {}
     row = at.iloc[0]
-    found = {"found": row["gain"], "low": row["gain_low"], "high": row["gain_high"]}
-    return found | {
-        "possible": 1 - (row["precision_100"] - row["gain"]),
-        "met": row["gain"] >= bound.at_least - ROUNDING,
-    }
+    possible, met = 1 - (row["precision_100"] - row["gain"]), row["gain"] >= bound.at_least - ROUNDING
+    return _found_in(row, "gain") | {"possible": possible, "met": met}
 
 
 def _time(bound: Bound, overhead: pd.DataFrame) -> dict[str, Any]:
@@ -178,7 +157,7 @@ def bound_rows(judged: pd.DataFrame) -> list[list[str]]:
     return [[_wanted(row), _found(row), "yes" if row["met"] else "no"] for row in judged.to_dict("records")]
 
 
-def _wanted(row: Mapping[Any, Any]) -> str:
+def _wanted(row: Row) -> str:
     where = f"{group_title(row['group'])}, {row['threshold_px']:g} px"
     who = row["estimator"] if np.isnan(row["kept"]) else "every estimator"
     match row["measure"]:
@@ -195,7 +174,7 @@ def _wanted(row: Mapping[Any, Any]) -> str:
     return f"{who} gains at least {percent(row['wanted'])} over {over}: {where}"
 
 
-def _found(row: Mapping[Any, Any]) -> str:
+def _found(row: Row) -> str:
     if np.isnan(row["found"]):
         return "no such pair"
     values = {"found": row["found"], "found_low": row["low"], "found_high": row["high"]}

@@ -11,26 +11,18 @@ import pandas as pd
 
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
-from epiprior_lab.report.page import Block, Page, Section, Table
+from epiprior_lab.report.page import Page, Section, Table
 from epiprior_lab.report.prose import picture, say
 from epiprior_lab.report.results import Results
-from epiprior_lab.report.style import MUTED, Look, save, styled
+from epiprior_lab.report.style import MUTED, Look, axis_legend, label_grid, save, styled
 from epiprior_lab.report.text import order_of, share
-from epiprior_lab.selection.cascade_rule import (
-    NEVER,
-    LearntRule,
-    cascade_errors,
-    kept_runs,
-    lost_runs,
-    paired_runs,
-    trade_off,
-)
+from epiprior_lab.selection import cascade_rule
+from epiprior_lab.selection.cascade_rule import NEVER, LearntRule, kept_runs
 
-LOOKS: Mapping[str, Look] = {
+_LOOKS: Mapping[str, Look] = {
     "validation": Look("validation, chosen rule", "#8b919b", "--", "s"),
     "test": Look("test, chosen rule", "#d55e00", "-", "o"),
 }
-_COLUMNS = 4
 
 
 def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[float]) -> pd.DataFrame:
@@ -41,7 +33,7 @@ def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[f
     only always preprocessing has, and only the cascade; ``change`` = cascade - always with the ends of its 95 %
     interval, ``_low`` and ``_high``.
     """
-    runs = paired_runs(results.tables.runs)
+    runs = cascade_rule.paired_runs(results.tables.runs)
     (kept,) = kept_runs(runs, [rule])
     keys = ["group", "pair_id"]
     index = pd.MultiIndex.from_frame(results.tables.pairs[keys])
@@ -49,7 +41,11 @@ def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[f
     for estimator in order_of(runs["estimator"]):
         own = (runs["estimator"] == estimator).to_numpy()
         part, kept_part = runs[own].reset_index(drop=True), kept[own]
-        errors = {"without": part["without_px"], "always": part["with_px"], "cascade": cascade_errors(part, kept_part)}
+        errors = {
+            "without": part["without_px"],
+            "always": part["with_px"],
+            "cascade": cascade_rule.cascade_errors(part, kept_part),
+        }
         for threshold in thresholds_px:
             marks = part[keys].assign(**{name: np.asarray(values) < threshold for name, values in errors.items()})
             marks["lost"] = marks["always"] & ~marks["cascade"]
@@ -58,13 +54,8 @@ def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[f
             always, cascade = (shares[name].to_numpy(np.float64) for name in ("always", "cascade"))
             for group, member in results.groups(results.main):
                 pairs = int(member.sum())
-                row: dict[str, Any] = {
-                    "group": group,
-                    "estimator": estimator,
-                    "threshold_px": threshold,
-                    "pairs": pairs,
-                }
-                row["preprocessed"] = float(shares.loc[member, "preprocessed"].mean())
+                row: dict[str, Any] = {"group": group, "estimator": estimator, "threshold_px": threshold}
+                row |= {"pairs": pairs, "preprocessed": float(shares.loc[member, "preprocessed"].mean())}
                 row |= {str(name): float(shares.loc[member, name].sum()) for name in (*errors, "lost", "won")}
                 change = results.compare(always, cascade, member, "cascade", estimator, group, str(threshold))
                 rows.append(row | results.interval("change", change.difference, member, pairs))
@@ -88,8 +79,8 @@ def learnt_page(learnt: LearntRule, params: CascadeParams, success_px: float, st
     values = {"tolerance": params.tolerance, "strict_tolerance": params.strict_tolerance}
     about = say("learnt", rule=rule_in_words(learnt.rule), success_px=success_px, strict_px=strict_px, **values)
     head = ("estimator", "preprocessed", "lost", "preprocessed, held out", "lost, held out")
-    blocks: list[Block] = [Table(head=head, rows=rows), picture("cascade", figure)]
-    section = Section(title="The rule on validation scenes", blocks=blocks)
+    table, title = Table(head=head, rows=rows), "The rule on validation scenes"
+    section = Section(title=title, blocks=[table, picture("cascade", figure)])
     return Page(title="The cascade: preprocessing only where it is needed", about=about, sections=[section])
 
 
@@ -101,19 +92,19 @@ def cascade_figure(
     `runs` are from `cascade_rule.paired_runs`, for ``validation`` and ``test``.
     """
     estimators = order_of(next(iter(runs.values()))["estimator"])
-    columns = min(_COLUMNS, len(estimators))
+    columns = min(4, len(estimators))
     rows = -(-len(estimators) // columns)
     with styled(rows, columns, (2.6 * columns, 2.2 * rows + 0.6), sharex=True, sharey=True) as (figure, axes):
         panels = [axis for row in axes for axis in row]
         for axis, estimator in zip(panels, estimators, strict=False):
             for split, table in runs.items():
-                part, look = table[table["estimator"] == estimator], LOOKS[split]
-                front = trade_off(part, params, threshold_px)
+                part, look = table[table["estimator"] == estimator], _LOOKS[split]
+                front = cascade_rule.trade_off(part, params, threshold_px)
                 x, loss = (100 * front[name].to_numpy() for name in ("preprocessed", "lost"))
                 x, loss = np.append(100.0, x), np.append(loss[0], loss)
                 axis.plot(x, loss, color=look.colour, ls=look.line, lw=1.4, drawstyle="steps-pre")
                 kept = kept_runs(part, [rule])
-                lost = 100 * float(lost_runs(part, kept, threshold_px).mean())
+                lost = 100 * float(cascade_rule.lost_runs(part, kept, threshold_px).mean())
                 how: Any = {"color": look.colour, "ms": 7, "mec": "white", "zorder": 4, "clip_on": False}
                 axis.plot(100 * (1 - np.mean(kept)), lost, look.marker, **how)
             axis.axhline(100 * params.tolerance, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
@@ -122,10 +113,8 @@ def cascade_figure(
             axis.set_visible(False)
         for row in axes:
             row[0].set_ylabel("runs lost, %")
-        for axis in axes[-1]:
-            axis.set_xlabel("runs preprocessed, %")
-        for look in LOOKS.values():
+        label_grid(axes, below="runs preprocessed, %")
+        for look in _LOOKS.values():
             panels[0].plot([], [], color=look.colour, ls=look.line, marker=look.marker, label=look.label)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=2)
+        axis_legend(figure, panels[0])
         save(figure, path)

@@ -16,25 +16,12 @@ from scipy import stats
 
 from epiprior.types import FloatArray
 from epiprior_lab.evaluation.records import RANKS, right_column
-from epiprior_lab.evaluation.statistics import success_curve
+from epiprior_lab.report import style, text
 from epiprior_lab.report.results import Results
-from epiprior_lab.report.style import (
-    GRID,
-    INK,
-    INPUT_LOOKS,
-    MUTED,
-    RANKING_LOOKS,
-    SERIES,
-    Look,
-    legend,
-    look_of,
-    save,
-    styled,
-)
+from epiprior_lab.report.style import DOTS, GRID, INK, MUTED, SERIES, Look, label_grid, legend, looks_of, save, styled
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, calibration_sums
-from epiprior_lab.report.text import ALL, METRIC_TITLES, PEER_TITLES, TARGET_TITLES, group_title, order_of, setting
+from epiprior_lab.report.text import ALL, METRIC_TITLES, group_title, input_title, order_of, setting
 
-CURVE_LIMIT_PX = 20.0
 MIN_BAR = 30  # a share of fewer runs says little
 FEW_RUNS = 5
 DRAWN_METRICS = ("precision_top_100", "average_precision", "accuracy", "precision")
@@ -48,12 +35,6 @@ _SETTINGS = {
     "refine": "F refined",
     "collect": "support\ncollected",
 }
-
-
-def _looks(names: Sequence[str], looks: Mapping[str, Look] = INPUT_LOOKS) -> dict[str, Look]:
-    """Return the looks of series in the order of `looks`, others last."""
-    known = sorted(names, key=lambda name: list(looks).index(name) if name in looks else len(looks))
-    return {name: look_of(looks, name, k) for k, name in enumerate(known)}
 
 
 def _names(axis: Axes, names: Sequence[str]) -> FloatArray:
@@ -70,7 +51,7 @@ def _names(axis: Axes, names: Sequence[str]) -> FloatArray:
 
 def success_figure(successes: pd.DataFrame, groups: Sequence[str], thresholds_px: Sequence[float], path: Path) -> None:
     """Draw successes, a dot per estimator and input: a row per threshold, a column per group."""
-    estimators, looks = order_of(successes["estimator"]), _looks(order_of(successes["input"]))
+    estimators, looks = order_of(successes["estimator"]), looks_of(order_of(successes["input"]))
     size = (2.6 * len(groups) + 0.8, (0.27 * len(estimators) + 0.75) * len(thresholds_px) + 0.4)
     with styled(len(thresholds_px), len(groups), size, sharey=True) as (figure, axes):
         for row, threshold in zip(axes, thresholds_px, strict=True):
@@ -80,14 +61,11 @@ def success_figure(successes: pd.DataFrame, groups: Sequence[str], thresholds_px
                 for k, (name, look) in enumerate(looks.items()):
                     own = part[part["input"] == name].set_index("estimator").reindex(estimators)
                     height = y + 0.12 * ((len(looks) - 1) / 2 - k)  # equal numbers must not hide each other
-                    axis.errorbar(
-                        own["successes"], height, xerr=own["successes_sd"], fmt=look.marker, color=look.colour,
-                        ms=6 if look.marker == "o" else 4.5, lw=0.9, mec="white", mew=0.6, zorder=3,
-                    )  # fmt: skip
+                    how: Any = {"color": look.colour, "ms": 6 if look.marker == "o" else 4.5, "lw": 0.9, **DOTS}
+                    axis.errorbar(own["successes"], height, xerr=own["successes_sd"], fmt=look.marker, **how)
                 axis.set(xlim=(-0.03 * pairs, 1.03 * pairs), xlabel=f"pairs of {pairs} below {threshold:g} px")
                 axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))  # pairs are whole
-                if row is axes[0]:
-                    axis.set_title(group_title(group))
+        label_grid(axes, columns=[group_title(group) for group in groups])
         legend(figure, list(looks.values()), markers=True)
         save(figure, path)
 
@@ -97,32 +75,19 @@ def curve_figure(results: Results, path: Path) -> None:
 
     Bars are one standard deviation over seeds, as in the paper's figure of results. Inputs of peers are left out.
     """
-    looks = {name: look for name, look in _looks(results.inputs_of_all).items() if name not in PEER_TITLES}
+    looks = {name: look for name, look in looks_of(results.inputs_of_all).items() if name not in text.PEER_TITLES}
     groups = results.main[:-1] or results.main
-    grid, bars = np.linspace(0, CURVE_LIMIT_PX, 201), np.arange(2.5, CURVE_LIMIT_PX, 2.5)
-    rows, columns = len(results.estimators), len(groups)
-    size = (2.55 * columns + 0.4, 1.4 * rows + 0.9)
-    with styled(rows, columns, size, sharex=True, sharey="col") as (figure, axes):
+    size = (2.55 * len(groups) + 0.4, 1.4 * len(results.estimators) + 0.9)
+    with styled(len(results.estimators), len(groups), size, sharex=True, sharey="col") as (figure, axes):
         for row, estimator in zip(axes, results.estimators, strict=True):
-            names = results.inputs(estimator)
             for axis, group in zip(row, groups, strict=True):
                 member = results.masks[group]
-                for k, (name, look) in enumerate(looks.items()):
-                    if name not in names:
-                        continue
-                    errors = results.errors.values(estimator, name)[member]
-                    axis.plot(grid, success_curve(errors, grid)[0], color=look.colour, ls=look.line, lw=1.5)
-                    at = bars + 0.22 * (k - (len(looks) - 1) / 2)  # side by side, so that bars do not hide bars
-                    mean, deviation = success_curve(errors, at)
-                    axis.errorbar(at, mean, deviation, fmt="none", ecolor=look.colour, elinewidth=0.8, alpha=0.8)
-                axis.axvline(10, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
-                axis.set(xlim=(0, CURVE_LIMIT_PX), ylim=(0, 1.03 * member.sum()))
+                errors = {n: results.errors.values(estimator, n)[member] for n in results.inputs(estimator)}
+                style.draw_curves(axis, looks, errors, np.arange(2.5, style.CURVE_LIMIT_PX, 2.5))
+                axis.set_ylim(0, 1.03 * member.sum())
                 axis.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-                if row is axes[0]:
-                    axis.set_title(group_title(group))
-                if row is axes[-1]:
-                    axis.set_xlabel("threshold, px")
-            row[0].set_ylabel(estimator, fontweight="bold")
+        titles = [group_title(group) for group in groups]
+        label_grid(axes, rows=results.estimators, columns=titles, below="threshold, px")
         figure.supylabel("successful pairs", fontsize=9, color=MUTED)
         legend(figure, list(looks.values()))
         save(figure, path)
@@ -143,15 +108,9 @@ def duel_figure(duels: pd.DataFrame, champion: str, groups: Sequence[str], path:
                     chosen = (part["decided"] == decided).to_numpy()
                     at = part[chosen]
                     spans = [at["difference"] - at["difference_low"], at["difference_high"] - at["difference"]]
-                    axis.errorbar(
-                        at["difference"], y[chosen], xerr=spans, fmt="o", color=colour, ms=5, lw=1.3, mec="white",
-                        mew=0.6, zorder=3,
-                    )  # fmt: skip
-                if row is axes[0]:
-                    axis.set_title(f"{group_title(group)}\n{look_of(INPUT_LOOKS, name, 0).label}")
-                if row is axes[-1]:
-                    axis.set_xlabel("pairs ahead")
-            row[0].set_ylabel(f"below {threshold:g} px", fontweight="bold")
+                    axis.errorbar(at["difference"], y[chosen], xerr=spans, fmt="o", color=colour, ms=5, lw=1.3, **DOTS)
+        columns = [f"{group_title(group)}\n{input_title(name)}" for group, name in places]
+        label_grid(axes, rows=[f"below {t:g} px" for t in thresholds], columns=columns, below="pairs ahead")
         titles = {"better": f"{champion} is better", "open": "not decided", "worse": f"{champion} is worse"}
         legend(figure, [Look(title, _DECIDED[decided]) for decided, title in titles.items()], markers=True)
         save(figure, path)
@@ -164,19 +123,19 @@ def ranking_figure(results: Results, path: Path) -> None:
     """
     table = results.tables.rankings
     ranked = [name for name in order_of(table["input"]) if table.loc[table["input"] == name, "ranking"].nunique() > 1]
-    inputs = _looks([name for name in results.inputs_of_all if (table["input"] == name).any()])
-    rankings = _looks(order_of(table["ranking"]), RANKING_LOOKS)
+    inputs = looks_of([name for name in results.inputs_of_all if (table["input"] == name).any()])
+    rankings = looks_of(order_of(table["ranking"]), style.RANKING_LOOKS)
     kinds: list[tuple[str, dict[tuple[str, str], Look]]] = [
         ("inputs", {(name, "final"): look for name, look in inputs.items()}),
-        *((look_of(INPUT_LOOKS, n, 0).label, {(n, r): look for r, look in rankings.items()}) for n in ranked),
+        *((input_title(n), {(n, r): look for r, look in rankings.items()}) for n in ranked),
     ]
     groups = [(name, results.rows_of(table, member)) for name, member in results.groups(results.main)]
     groups = [(name, part) for name, part in groups if len(part)]
     columns = [right_column(rank) for rank in RANKS]
     size = (2.75 * len(groups) + 2.2, 2.3 * len(kinds) + 0.4)
     with styled(len(kinds), len(groups), size, sharex=True, sharey=True) as (figure, axes):
-        for row, (title, looks) in zip(axes, kinds, strict=True):
-            for axis, (group, of_group) in zip(row, groups, strict=True):
+        for row, (_, looks) in zip(axes, kinds, strict=True):
+            for axis, (_, of_group) in zip(row, groups, strict=True):
                 for (name, ranking), look in looks.items():
                     part = of_group[(of_group["input"] == name) & (of_group["ranking"] == ranking)]
                     if len(part):
@@ -184,14 +143,10 @@ def ranking_figure(results: Results, path: Path) -> None:
                         axis.plot(RANKS, curve, color=look.colour, ls=look.line, label=look.label)
                 axis.set(xscale="log", ylim=(0, 1.02), xlim=(1, 10_000))
                 axis.set_xticks([1, 10, 100, 1000, 10_000], ["1", "10", "100", "1,000", "10,000"])
-                if row is axes[0]:
-                    axis.set_title(
-                        f"{group_title(group)} ({of_group[['group', 'pair_id']].drop_duplicates().shape[0]})"
-                    )
-                if row is axes[-1]:
-                    axis.set_xlabel("matches, best first")
-            row[0].set_ylabel(f"{title}\nshare of right matches", fontweight="bold")
             row[-1].legend(loc="center left", bbox_to_anchor=(1, 0.5))
+        names = [f"{title}\nshare of right matches" for title, _ in kinds]
+        titles = [group_title(group, len(part[["group", "pair_id"]].drop_duplicates())) for group, part in groups]
+        label_grid(axes, rows=names, columns=titles, below="matches, best first")
         save(figure, path)
 
 
@@ -211,12 +166,10 @@ def roll_figure(densities: Mapping[str, tuple[FloatArray, FloatArray, float]], p
             axis.set_xticks([-180, -90, 0, 90, 180])
         for axis in flat[len(densities) :]:
             axis.set_visible(False)
-        for axis in axes[-1]:
-            axis.set_xlabel("roll of image 2 against image 1, degrees")
         for row in axes:
             row[0].set_ylabel("density, 1/degree")
-        handles, labels = flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(handles))
+        label_grid(axes, below="roll of image 2 against image 1, degrees")
+        style.axis_legend(figure, flat[0])
         save(figure, path)
 
 
@@ -239,7 +192,7 @@ def calibration_figure(results: Results, path: Path) -> None:
             lower.bar(place, sums.count, width * 0.92, color="#c9ced6", label="matches")
             lower.bar(place, sums.right, width * 0.92, color="#0072b2", label="right matches")
             lower.set(yscale="log", xlim=(0, 1), xlabel="stated probability")
-            upper.set(title=look_of(INPUT_LOOKS, name, k).label, ylim=(0, 1))
+            upper.set(title=input_title(name), ylim=(0, 1))
             note = f"Brier {sums.brier_score:.4f}, calibration error {sums.expected_calibration_error:.4f}"
             upper.set_title(note, loc="right", fontsize=8, fontweight="normal")
         axes[0][0].set_ylabel("share of right matches")
@@ -251,7 +204,7 @@ def calibration_figure(results: Results, path: Path) -> None:
 
 def status_figure(statuses: pd.DataFrame, groups: Sequence[str], path: Path) -> None:
     """Draw the shares of right and of wrong F that are turned down, ``no_model`` paler; no bar below `MIN_BAR`."""
-    looks = _looks([name for name in order_of(statuses["input"]) if name != ALL])
+    looks = looks_of([name for name in order_of(statuses["input"]) if name != ALL])
     width = 0.8 / max(len(looks), 1)
     panels = (("right", "right F turned down"), ("wrong", "wrong F turned down"))
     with styled(1, 2, (2.2 + 1.7 * len(groups), 3.4)) as (figure, axes):
@@ -286,10 +239,8 @@ def classifier_figure(table: pd.DataFrame, path: Path) -> None:
         ("grouped", 0.2, "#0072b2", "folds by scene"),
         ("ungrouped", -0.2, "#e3a76f", "folds by row, as in the paper: optimistic (exported family)"),
     )
-    with styled(len(subjects), len(metrics), (2.7 * len(metrics), 1.7 * len(subjects) + 0.6), sharex=True) as (
-        figure,
-        axes,
-    ):
+    size = (2.7 * len(metrics), 1.7 * len(subjects) + 0.6)
+    with styled(len(subjects), len(metrics), size, sharex=True) as (figure, axes):
         for row, (preset, target) in zip(axes, subjects, strict=True):
             for axis, metric in zip(row, metrics, strict=True):
                 chosen = (table["preset"] == preset) & (table["target"] == target) & (table["metric"] == metric)
@@ -304,12 +255,10 @@ def classifier_figure(table: pd.DataFrame, path: Path) -> None:
                 axis.set_yticks(y, [str(name) for name in values.index])
                 axis.grid(axis="y", visible=False)
                 axis.tick_params(labelleft=axis is row[0])
-                if row is axes[0]:
-                    axis.set_title(METRIC_TITLES[metric])
-            row[0].set_ylabel(f"{preset}:\n{TARGET_TITLES.get(str(target), str(target))}", fontweight="bold")
         axes[0][0].set_xlim(0, 1)
-        handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(handles))
+        names = [f"{preset}:\n{text.TARGET_TITLES.get(str(target), str(target))}" for preset, target in subjects]
+        label_grid(axes, rows=names, columns=[METRIC_TITLES[metric] for metric in metrics])
+        style.axis_legend(figure, axes[0][0])
         save(figure, path)
 
 
@@ -329,18 +278,18 @@ def hand_over_figure(search: pd.DataFrame, path: Path) -> None:
                 _sweep(axis, search[search["estimator"] == estimator], name)
                 if row is axes[0]:
                     axis.set_title(_SETTINGS[name], fontsize=9)
-            row[0].set_ylabel(estimator, fontweight="bold")
             row[0].margins(y=0.14)
             row[0].yaxis.set_major_locator(MaxNLocator(4, integer=True))
+        label_grid(axes, rows=estimators)
         figure.supylabel("validation pairs, mean of those below 10 px and below 3 px", fontsize=9, color=MUTED)
-        legend(figure, list(_looks(order_of(search["input"])).values()), markers=True)
+        legend(figure, list(looks_of(order_of(search["input"])).values()), markers=True)
         save(figure, path)
 
 
 def _sweep(axis: Axes, part: pd.DataFrame, name: str) -> None:
     """Draw the trials of one setting, and the best trial before it, from which they vary."""
     lines = []
-    for owner, look in _looks(order_of(part["input"])).items():
+    for owner, look in looks_of(order_of(part["input"])).items():
         of_input = part[part["input"] == owner]
         varied = of_input[of_input["step"] == name]
         if len(varied):
@@ -352,13 +301,13 @@ def _sweep(axis: Axes, part: pd.DataFrame, name: str) -> None:
         axis.set_axis_off()
         return
     values = {setting(value): value for _, trials, _ in lines for value in trials[name]}
-    levels = sorted(values, key=lambda text: np.inf if text == "none" else float(values[text]))  # no limit comes last
+    levels = sorted(values, key=lambda name: np.inf if name == "none" else float(values[name]))  # no limit comes last
     for look, trials, final in lines:
         names = [setting(value) for value in trials[name]]
-        x, y = np.array([levels.index(text) for text in names]), trials["score"].to_numpy()
+        x, y = np.array([levels.index(level) for level in names]), trials["score"].to_numpy()
         order = np.argsort(x, kind="stable")
         axis.plot(x[order], y[order], color=look.colour, ls=look.line, marker=look.marker, ms=3.2, lw=1.2)
-        at = [k for k, text in enumerate(names) if text in final]
+        at = [k for k, level in enumerate(names) if level in final]
         axis.plot(x[at], y[at], "o", ms=8, mfc="none", mec=look.colour, mew=1.1)
     axis.set_xticks(range(len(levels)), levels)
     axis.set_xlim(-0.4, len(levels) - 0.6)
@@ -375,11 +324,10 @@ def overhead_figure(overhead: pd.DataFrame, path: Path) -> None:
             # Linear up to a doubling, logarithmic above it: one large contribution must not squeeze all others.
             axis.set_xscale("symlog", linthresh=100, linscale=2)
             for row in part.to_dict("records"):
-                axis.scatter(
-                    100 * row["contribution"], row["overhead"], s=44, edgecolor="white", linewidth=0.8, zorder=3,
-                    color=SERIES[groups.index(row["group"]) % len(SERIES)],
-                    marker=_MARKERS[estimators.index(row["estimator"]) % len(_MARKERS)],
-                )  # fmt: skip
+                colour = SERIES[groups.index(row["group"]) % len(SERIES)]
+                marker = _MARKERS[estimators.index(row["estimator"]) % len(_MARKERS)]
+                how: Any = {"s": 44, "edgecolor": "white", "linewidth": 0.8, "zorder": 3}
+                axis.scatter(100 * row["contribution"], row["overhead"], color=colour, marker=marker, **how)
             # Of ranks, since a contribution is infinite where nothing succeeded without the step.
             varied = min(own["contribution"].nunique(), own["overhead"].nunique()) > 1
             rank = float(stats.spearmanr(own["contribution"], own["overhead"]).statistic) if varied else np.nan
@@ -391,7 +339,7 @@ def overhead_figure(overhead: pd.DataFrame, path: Path) -> None:
             axis.xaxis.set_major_locator(FixedLocator((-50, 0, 50, 100, 200, 500, 1000)))
             axis.xaxis.set_major_formatter("{x:g}")
             axis.xaxis.set_minor_locator(NullLocator())
-            axis.set(title=look_of(INPUT_LOOKS, preset, 0).label, xlabel="contribution, %")
+            axis.set(title=input_title(preset), xlabel="contribution, %")
         axes[0][0].set(ylabel="time with the step / without", ylim=(0, overhead["overhead"].max() * 1.25))
         for k, group in enumerate(groups):
             axes[0][0].plot([], [], "o", color=SERIES[k % len(SERIES)], label=group)
@@ -403,7 +351,7 @@ def overhead_figure(overhead: pd.DataFrame, path: Path) -> None:
 
 def seconds_figure(table: pd.DataFrame, path: Path) -> None:
     """Draw milliseconds per run of each estimator (`timing.seconds_table`), by outcome; hollow for few runs."""
-    estimators, looks = order_of(table["estimator"]), _looks(order_of(table["input"]))
+    estimators, looks = order_of(table["estimator"]), looks_of(order_of(table["input"]))
     with styled(1, 2, (9.6, 0.45 * len(estimators) + 1.3), sharex=True, sharey=True) as (figure, axes):
         for axis, outcome in zip(axes[0], ("success", "failure"), strict=True):
             y = _names(axis, estimators)
@@ -416,22 +364,15 @@ def seconds_figure(table: pd.DataFrame, path: Path) -> None:
                 axis.plot(mean[few], height[few], look.marker, color=look.colour, ms=5, mfc="white", mew=1.1)
                 for at, level, runs in zip(mean, height, part["runs"], strict=True):
                     if np.isfinite(at):
-                        how: Any = {
-                            "textcoords": "offset points",
-                            "va": "center",
-                            "fontsize": 5.5,
-                            "color": look.colour,
-                        }
-                        axis.annotate(f"{runs:.0f}", (at, level), (5, 0), **how)
-            axis.set(
-                title=f"runs that end in {outcome}", xlabel="milliseconds per run, matching left out", xscale="log"
-            )
+                        how: Any = {"textcoords": "offset points", "va": "center", "fontsize": 5.5}
+                        axis.annotate(f"{runs:.0f}", (at, level), (5, 0), color=look.colour, **how)
+            label = "milliseconds per run, matching left out"
+            axis.set(title=f"runs that end in {outcome}", xlabel=label, xscale="log")
             axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axis.xaxis.set_major_formatter("{x:g}")
             axis.xaxis.set_minor_formatter(NullFormatter())
-        few_runs = Line2D(
-            [], [], ls="", marker="o", color=MUTED, mfc="white", mew=1.1, label=f"fewer than {FEW_RUNS} runs"
-        )
+        label = f"fewer than {FEW_RUNS} runs"
+        few_runs = Line2D([], [], ls="", marker="o", color=MUTED, mfc="white", mew=1.1, label=label)
         dots = [Look(look.label, look.colour, "", look.marker) for look in looks.values()]
         legend(figure, dots, markers=True, more=[few_runs])
         save(figure, path)

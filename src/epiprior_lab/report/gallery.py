@@ -142,11 +142,10 @@ def draw_cases(
             one, how = replace(matches, sets={name: sets}), protocol.hand_overs[case.estimator]
             ((*_, found),) = estimates(one, pair.pair_id, estimator=case.estimator, seeds=(seed,), hand_overs=how)
             used = next((matched for matched in sets if matched.roll_deg == found.roll_deg), sets[0])
-            for images, file in (
-                ((pair.image1, pair.image2), photographs / f"{case.name}-{name}.jpg"),
-                (blanks, frames / f"{case.name}-{name}.png"),
-            ):
-                write_picture(file, draw_matches(images[0], images[1], used, found, settings=_SETTINGS))
+            on_both = (photographs, "jpg", (pair.image1, pair.image2)), (frames, "png", blanks)
+            for folder, suffix, images in on_both:
+                picture = draw_matches(images[0], images[1], used, found, settings=_SETTINGS)
+                write_picture(folder / f"{case.name}-{name}.{suffix}", picture)
 
 
 def case_blocks(cases: Sequence[Case], folder: str, suffix: str) -> list[Block]:
@@ -161,10 +160,9 @@ def case_blocks(cases: Sequence[Case], folder: str, suffix: str) -> list[Block]:
         blocks.append(f"**{case.kind}**: {case.group}, `{case.pair_id}` ({level}, right in X_L: {right}). {about}.")
         pictures = []
         for name, succeeded, status in zip(case.inputs, case.succeeded, case.statuses, strict=True):
-            caption = (
-                f"{input_title(name)}: {share(succeeded)} of the runs of {case.estimator} succeed; drawn: `{status}`"
-            )
-            alt = f"{case.pair_id}, {input_title(name)}: best matches and epipolar lines"
+            title = input_title(name)
+            caption = f"{title}: {share(succeeded)} of the runs of {case.estimator} succeed; drawn: `{status}`"
+            alt = f"{case.pair_id}, {title}: best matches and epipolar lines"
             pictures.append(Picture(path=f"{folder}/{case.name}-{name}.{suffix}", alt=alt, caption=caption))
         blocks.append(tuple(pictures))
     return blocks

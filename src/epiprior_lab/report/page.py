@@ -119,19 +119,13 @@ def _prose(text: str) -> list[str]:
 def render_html(page: Page) -> str:
     """Return a page as HTML, all of it in one file but for the pictures."""
     reader = MarkdownIt("commonmark", {"html": False})
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("epiprior_lab.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    loader = jinja2.PackageLoader("epiprior_lab.report")
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.trim_blocks = environment.lstrip_blocks = environment.keep_trailing_newline = True
     environment.filters["inline"] = lambda text: Markup(reader.renderInline(text))
     environment.filters["prose"] = lambda text: Markup(reader.render(text))
-    environment.tests["prose"] = lambda block: isinstance(block, str)
-    environment.tests["table"] = lambda block: isinstance(block, Table)
-    environment.tests["picture"] = lambda block: isinstance(block, Picture)
+    for name, kind in {"prose": str, "table": Table, "picture": Picture}.items():
+        environment.tests[name] = lambda block, kind=kind: isinstance(block, kind)
     sections = [section for section in page.sections if section.shown]
     template = environment.get_template("page.html.j2")
     return template.render(page=page, sections=sections, version=epiprior.__version__)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,19 +32,9 @@ _ROLL = re.compile(r"roll=(-?\d+)deg")
 
 
 def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
-    """Draw pairs in rows of a figure, with what makes them easy or hard below each, and return `path`.
+    """Draw pairs by family in rows of a figure, with what makes them easy or hard below each, and return `path`.
 
-    Parameters
-    ----------
-    pair_sets : mapping of str to sequence of Pair
-        Pairs to show by the name of their family.
-    path : Path
-        PNG or JPEG file; its folder is made if absent.
-
-    Raises
-    ------
-    DatasetError
-        If there is no pair to show, or an image cannot be read.
+    A DatasetError says that there is no pair to show, or that an image cannot be read.
     """
     columns = max((len(pairs) for pairs in pair_sets.values()), default=0)
     if not columns:
@@ -62,10 +53,8 @@ def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
                     small = [_thumbnail(pairs[k].image1), gap, _thumbnail(pairs[k].image2)]
                     cell.imshow(np.hstack(small), interpolation="none")
                     cell.set_title(family if k == 0 else " ", fontsize=11, color=INK)
-                    cell.text(
-                        0.5, -0.03, _caption(pairs[k]), transform=cell.transAxes, ha="center", va="top", fontsize=8,
-                        color=MUTED,
-                    )  # fmt: skip
+                    how: Any = {"ha": "center", "va": "top", "fontsize": 8, "color": MUTED}
+                    cell.text(0.5, -0.03, _caption(pairs[k]), transform=cell.transAxes, **how)
             first += rows_of[family]
         engine = figure.get_layout_engine()
         if engine is not None:  # little room between panels
@@ -116,8 +105,7 @@ def example_picture(pair: Pair, path: Path) -> Path:
     padded = [cv2.copyMakeBorder(p, 0, height - len(p), 0, 0, cv2.BORDER_CONSTANT, value=white) for p in pictures]
     picture = np.hstack([padded[0], np.full((height, 12, 3), 255, np.uint8), padded[1]])
     path.parent.mkdir(parents=True, exist_ok=True)
-    quality = [cv2.IMWRITE_JPEG_QUALITY, 88]
-    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(picture[:, :, ::-1]), quality)
+    _, encoded = cv2.imencode(".jpg", picture[:, :, ::-1].copy(), [cv2.IMWRITE_JPEG_QUALITY, 88])
     path.write_bytes(encoded.tobytes())
     return path
 

@@ -28,12 +28,7 @@ class ReadmeError(EpipriorError):
 def update_readme(root: Path) -> bool:
     """Write the table into ``README.md`` below the root of the repository; return whether the file changed.
 
-    Raises
-    ------
-    ReadmeError
-        If the README has not exactly one place for it.
-    ReportError
-        If the report is missing or lacks a column.
+    A ReadmeError says that there is not exactly one place for it, a ReportError that the report lacks something.
     """
     path = root / "README.md"
     before = path.read_text(encoding="utf-8")
@@ -51,6 +46,6 @@ def render_readme(text: str, root: Path) -> str:
     report = load_params(root / PHOTOGRAPHS).report
     successes = read_table(root / TABLES / "successes.csv", _SUCCESSES)
     cascade = read_table(root / TABLES / "cascade.csv", _CASCADE)
-    thresholds = (report.success_px, report.strict_px)
-    lines = table_lines(summary_table(successes, cascade, (ALL, *report.hard_groups), thresholds))
+    px = (report.success_px, report.strict_px)
+    lines = table_lines(summary_table(successes, cascade, (ALL, *report.hard_groups), px))
     return _SECTION.sub(lambda match: match[1] + "\n".join(lines) + "\n" + match[3], text)

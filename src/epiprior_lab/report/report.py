@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
-from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.evaluation.records import Tables
-from epiprior_lab.pairsets import KnownSet
 from epiprior_lab.params import ReportParams
 from epiprior_lab.report import figures, tables
-from epiprior_lab.report.bounds import Bound, judge
-from epiprior_lab.report.cascade import cascade_table, rule_in_words
-from epiprior_lab.report.gallery import Case, write_gallery
+from epiprior_lab.report.bounds import judge
+from epiprior_lab.report.cascade import cascade_table
+from epiprior_lab.report.gallery import write_gallery
 from epiprior_lab.report.page import Page
 from epiprior_lab.report.prose import say
 from epiprior_lab.report.results import Results, read_table
-from epiprior_lab.report.sections import Material, all_sections
+from epiprior_lab.report.sections import Extras, Material, all_sections
 from epiprior_lab.report.text import ALL, DIFFICULTIES, OURS
 
 TITLES = {
@@ -30,25 +28,7 @@ TITLES = {
 CLASSIFIER_COLUMNS = "target family grouped fold metric value"
 HAND_OVER_COLUMNS = "estimator input step top_k one_to_one threshold_px pairs successes_10 successes_3 area chosen"
 
-
-@dataclass(frozen=True, kw_only=True)
-class Extras:
-    """What a report shows beside the results; each may be left out.
-
-    `known_sets` are listed even where they are not present. `classifiers` are from `read_classifiers`, `hand_over` is
-    the search on validation scenes. `pictures` are made by others, in the report's folder: ``contact_sheet, example,
-    roll, cascade, overhead, estimators`` and those of the analysis. Those of the `cases` are drawn already; `gallery`
-    is the folder of those on photographs, which stays here: its page is written too.
-    """
-
-    rule: CascadeRule | None = None
-    bounds: Sequence[Bound] = ()
-    known_sets: Sequence[KnownSet] = ()
-    classifiers: pd.DataFrame | None = None
-    hand_over: pd.DataFrame | None = None
-    pictures: Mapping[str, Path] = field(default_factory=dict)
-    cases: Sequence[Case] = ()
-    gallery: Path | None = None
+_Tables = dict[str, pd.DataFrame]
 
 
 def read_results(evaluated: Tables, params: ReportParams, *, apart: Sequence[str] = ()) -> Results:
@@ -64,7 +44,7 @@ def read_classifiers(training: Path, presets: Sequence[str]) -> pd.DataFrame:
     return pd.concat([p.assign(preset=name) for name, p in zip(presets, parts, strict=True)], ignore_index=True)
 
 
-def make_tables(results: Results, params: ReportParams, extras: Extras) -> dict[str, pd.DataFrame]:
+def make_tables(results: Results, params: ReportParams, extras: Extras) -> _Tables:
     """Return all tables by the names of their files, those without rows left out."""
     thresholds = tuple(dict.fromkeys((params.success_px, params.strict_px)))
     success_px, champion = params.success_px, params.champion
@@ -94,44 +74,33 @@ def draw_figures(results: Results, made: Mapping[str, pd.DataFrame], params: Rep
     """Draw what the tables allow, and return the files by their names."""
     groups = [group for group, _ in results.groups(results.main[:-1])] or [ALL]
     thresholds, hard = list(dict.fromkeys((params.success_px, params.strict_px))), results.hard or (ALL,)
-    draw: dict[str, tuple[str, Callable[[pd.DataFrame, Path], None]]] = {
-        "successes": ("successes", lambda t, path: figures.success_figure(t, groups, thresholds, path)),
-        "curves": ("successes", lambda _, path: figures.curve_figure(results, path)),
-        "duels": ("duels", lambda t, path: figures.duel_figure(t, params.champion, hard, path)),
-        "rankings": ("rankings", lambda _, path: figures.ranking_figure(results, path)),
-        "calibration": ("calibration", lambda _, path: figures.calibration_figure(results, path)),
-        "statuses": ("statuses", lambda t, path: figures.status_figure(t, [*groups, ALL], path)),
-        "classifiers": ("classifiers", figures.classifier_figure),
-        "hand_over": ("hand_over", figures.hand_over_figure),
+    draw: dict[str, Callable[[pd.DataFrame, Path], None]] = {
+        "successes": lambda table, path: figures.success_figure(table, groups, thresholds, path),
+        "curves": lambda _, path: figures.curve_figure(results, path),
+        "duels": lambda table, path: figures.duel_figure(table, params.champion, hard, path),
+        "rankings": lambda _, path: figures.ranking_figure(results, path),
+        "calibration": lambda _, path: figures.calibration_figure(results, path),
+        "statuses": lambda table, path: figures.status_figure(table, [*groups, ALL], path),
+        "classifiers": figures.classifier_figure,
+        "hand_over": figures.hand_over_figure,
     }
-    paths = {name: at / f"{name}.png" for name, (table, _) in draw.items() if table in made}
-    for name, path in paths.items():
-        table, function = draw[name]
-        function(made[table], path)
+    paths = {}
+    for name, function in draw.items():
+        table = made.get("successes" if name == "curves" else name)
+        if table is not None:
+            paths[name] = at / f"{name}.png"
+            function(table, paths[name])
     return paths
 
 
-def write_report(
-    results: Results, params: ReportParams, extras: Extras, kind: str, out: Path
-) -> dict[str, pd.DataFrame]:
-    """Write ``index.html`` and ``performance.md``, ``tables/`` and ``figures/``; return the tables.
-
-    `kind` is one of `TITLES`: of the title and the prose.
-    """
+def write_report(results: Results, params: ReportParams, extras: Extras, kind: str, out: Path) -> _Tables:
+    """Write ``index.html`` and ``performance.md``, ``tables/`` and ``figures/`` of a kind of `TITLES`."""
     made = make_tables(results, params, extras)
     for name, table in made.items():
         tables.write_table(table, out / "tables" / f"{name}.csv")
     drawn = {**draw_figures(results, made, params, out / "figures"), **extras.pictures}
-    material = Material(
-        results=results,
-        params=params,
-        tables=made,
-        figures={name: path.relative_to(out).as_posix() for name, path in drawn.items()},
-        kind=kind,
-        rule="" if extras.rule is None else rule_in_words(extras.rule),
-        cases=extras.cases,
-        kept="" if extras.gallery is None else (extras.gallery / "index.html").as_posix(),
-    )
+    paths = {name: path.relative_to(out).as_posix() for name, path in drawn.items()}
+    material = Material(results=results, params=params, tables=made, figures=paths, kind=kind, extras=extras)
     Page(title=TITLES[kind], about=say(kind), sections=all_sections(material)).write(out)
     if extras.gallery is not None:
         write_gallery(extras.cases, extras.gallery)
@@ -140,18 +109,8 @@ def write_report(
 
 def write_folder_report(evaluated: Tables, out: Path) -> None:
     """Write the report on pair sets of one's own, with the thresholds of the study; the first estimator is compared."""
-    params = ReportParams(
-        seed=0,
-        success_px=10.0,
-        strict_px=3.0,
-        thresholds_px=(10.0, 3.0),
-        pose_deg=(5.0, 10.0, 20.0),
-        distance_recall=0.05,
-        bootstrap_draws=2000,
-        champion=str(evaluated.runs["estimator"].iloc[0]),
-        hard_groups=("hard",),
-        easy_groups=("easy",),
-        contact_sheet_pairs=None,
-        gallery=None,
-    )
+    how: dict[str, Any] = {"success_px": 10.0, "strict_px": 3.0, "thresholds_px": (10.0, 3.0)}
+    how |= {"pose_deg": (5.0, 10.0, 20.0), "distance_recall": 0.05, "bootstrap_draws": 2000, "seed": 0}
+    how |= {"hard_groups": ("hard",), "easy_groups": ("easy",), "contact_sheet_pairs": None, "gallery": None}
+    params = ReportParams(champion=str(evaluated.runs["estimator"].iloc[0]), **how)
     write_report(read_results(evaluated, params), params, Extras(), "folder", out)

@@ -29,14 +29,8 @@ class Results:
     """The results of an evaluation, compared by ``group`` (families of scenes) or by ``difficulty``.
 
     Groups in `apart` are part of no total and no difficulty; `hard` are those of `by` that are hard; `draws` and `seed`
-    are of the bootstrap, which draws whole scenes.
-
-    Attributes
-    ----------
-    masks : dict of str to ndarray
-        Which pairs belong to each group: those of `main`, then, by difficulty, every set.
-    main : tuple of str
-        Groups that tables show, `ALL` last.
+    are of the bootstrap, which draws whole scenes. `main` are the groups that tables show, `ALL` last; `masks` tells
+    which pairs belong to each of these and, by difficulty, to every set.
     """
 
     def __init__(
@@ -59,9 +53,8 @@ class Results:
     @property
     def hard_pairs(self) -> BoolArray:
         """Pairs of the hard groups."""
-        return np.asarray(
-            np.any([self.masks[name] for name in self.hard] or [np.zeros(len(self.scenes), np.bool_)], axis=0)
-        )
+        none = np.zeros(len(self.scenes), np.bool_)
+        return np.asarray(np.any([none, *(self.masks[name] for name in self.hard)], axis=0))
 
     @property
     def inputs_of_all(self) -> list[str]:
@@ -69,13 +62,7 @@ class Results:
         return _ordered(dict.fromkeys(name for e in self.estimators for name in self.errors.inputs(e)))
 
     def inputs(self, estimator: str) -> list[str]:
-        """Return the inputs of one estimator; the one without preprocessing first, ours last.
-
-        Raises
-        ------
-        ReportError
-            If there is no such estimator, or none of its inputs is without preprocessing.
-        """
+        """Return the inputs of one estimator; the one without preprocessing, which must be there, first, ours last."""
         known = self.errors.inputs(estimator)
         if not set(known) & set(BASELINES):
             raise ReportError(f"results of {estimator}: no input of {', '.join(BASELINES)}")
@@ -103,18 +90,20 @@ class Results:
 
     def per_scene(self, values: FloatArray, member: BoolArray) -> FloatArray:
         """Return means over the pairs of each scene, by scene: pairs of one scene are alike."""
-        means = pd.Series(values[member]).groupby(self.scenes[member], sort=True).mean()
-        return np.asarray(means, np.float64)
+        return np.asarray(pd.Series(values[member]).groupby(self.scenes[member], sort=True).mean(), np.float64)
 
     def interval(self, name: str, interval: Interval, member: BoolArray, factor: float = 1.0) -> dict[str, float]:
-        """Return the columns `name`, `name`_low and `name`_high of an interval, times `factor`.
-
-        Rounding noise is 0. One scene gives a value and no interval, since whole scenes are drawn.
-        """
-        ends = {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
+        """Return `interval_columns`; one scene gives a value and no interval, since whole scenes are drawn."""
+        columns = interval_columns(name, interval, factor)
         if len(set(self.scenes[member])) < 2:
-            ends |= {f"{name}_low": np.nan, f"{name}_high": np.nan}
-        return {column: 0.0 if abs(value) < ROUNDING else value * factor for column, value in ends.items()}
+            columns |= {f"{name}_low": np.nan, f"{name}_high": np.nan}
+        return columns
+
+
+def interval_columns(name: str, interval: Interval, factor: float = 1.0) -> dict[str, float]:
+    """Return the columns `name`, `name`_low and `name`_high of an interval, times `factor`; rounding noise is 0."""
+    ends = {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
+    return {column: 0.0 if abs(value) < ROUNDING else value * factor for column, value in ends.items()}
 
 
 def _ordered(names: Any) -> list[str]:
@@ -122,13 +111,7 @@ def _ordered(names: Any) -> list[str]:
 
 
 def read_table(path: Path, columns: str) -> pd.DataFrame:
-    """Read a CSV file that must have certain columns, separated by blanks in `columns`.
-
-    Raises
-    ------
-    ReportError
-        If it cannot be read or lacks one; the message names the file and the column.
-    """
+    """Read a CSV file that must have certain columns, separated by blanks; a ReportError names what is missing."""
     try:
         table = pd.read_csv(path, keep_default_na=True)
     except (OSError, UnicodeDecodeError, ValueError) as error:

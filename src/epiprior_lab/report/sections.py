@@ -3,44 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.pairsets import KnownSet
 from epiprior_lab.params import ReportParams
-from epiprior_lab.report.bounds import bound_rows
+from epiprior_lab.report import text
+from epiprior_lab.report.bounds import Bound, bound_rows
+from epiprior_lab.report.cascade import rule_in_words
 from epiprior_lab.report.figures import MIN_BAR
 from epiprior_lab.report.gallery import Case, case_blocks
 from epiprior_lab.report.page import Block, Picture, Section, Table
 from epiprior_lab.report.prose import picture, say
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, ENOUGH_RIGHT, PRECISIONS
-from epiprior_lab.report.text import (
-    ALL,
-    BASELINES,
-    DIFFICULTIES,
-    METRIC_TITLES,
-    OURS,
-    PEER_TITLES,
-    RANKING_TITLES,
-    TARGET_TITLES,
-    Row,
-    best_bold,
-    group_title,
-    input_title,
-    interval,
-    number,
-    order_of,
-    points,
-    setting,
-    share,
-    signed,
-)
+from epiprior_lab.report.text import ALL, OURS, group_title, input_title, interval, number, order_of, share, signed
 
 CASCADE = "cascade"
 _SETTINGS = ("max_distance_ratio", "top_k", "one_to_one", "threshold_px", "refine", "collect")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extras:
+    """What a report shows beside the results; each may be left out.
+
+    `known_sets` are listed even where they are not present. `classifiers` are from `read_classifiers`, `hand_over` is
+    the search on validation scenes. `pictures`, by the names of the prose, and those of the `cases` are in the
+    report's folder already; `gallery` is the folder of the cases on photographs: its page is written too.
+    """
+
+    rule: CascadeRule | None = None
+    bounds: Sequence[Bound] = ()
+    known_sets: Sequence[KnownSet] = ()
+    classifiers: pd.DataFrame | None = None
+    hand_over: pd.DataFrame | None = None
+    pictures: Mapping[str, Path] = field(default_factory=dict)
+    cases: Sequence[Case] = ()
+    gallery: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +52,7 @@ class Material:
     """Everything that a report shows.
 
     `tables` are by the names of their CSV files, `figures` paths relative to the page; those that there are. `kind` is
-    one of `report.TITLES`, `rule` that of the cascade in words, `kept` the page of the gallery on photographs.
+    one of `report.TITLES`.
     """
 
     results: Results
@@ -56,9 +60,7 @@ class Material:
     tables: Mapping[str, pd.DataFrame]
     figures: Mapping[str, str]
     kind: str
-    rule: str = ""
-    cases: Sequence[Case] = ()
-    kept: str = ""
+    extras: Extras
 
     def picture(self, name: str, **values: Any) -> tuple[Picture, ...]:
         """Return a figure; empty where there is none."""
@@ -71,30 +73,42 @@ class Material:
             yield from ((str(g), p) for g, p in table.groupby("group", sort=False) if g in self.results.main)
 
 
+_Maker = Callable[[Material], Iterator[Block | tuple[()]]]
+
+
 def all_sections(material: Material) -> list[Section]:
-    """Return the sections in the order of the page: how well, how measured, what falls short, and bounds last."""
-    makers: dict[str, Callable[[Material], Iterator[Block | tuple[()]]]] = {
+    """Return the sections in the order of the page: how well, how measured, what falls short, and bounds last.
+
+    A section that needs a table which is not there is left out.
+    """
+    makers: dict[str, _Maker] = {
         "How well it works": _summary,
-        "A rescued pair": _example,
+        "A rescued pair": _plain("example", "example"),
         "Successes": _successes,
         "Against every other estimator": _duels,
         "Poses and distances": _poses,
         "Rankings": _rankings,
         "Calibration": _calibration,
         "Cascade": _cascade,
-        "Time": _time,
+        "Time": _plain("time", "overhead", "estimators"),
         "Pairs": _pairs,
         "How it was measured": _method,
         "Hand-over": _hand_over,
         "Classifiers": _classifiers,
-        "Roll": _roll,
-        "Analysis": _analysis,
+        "Roll": _plain("roll", "roll"),
+        "Analysis": _plain("analysis", "steps", "ablations", "limits"),
         "Verification": _statuses,
         "What limits the results": _limits,
         "Gallery": _gallery,
         "Bounds": _bounds,
     }
-    return [Section(title=title, blocks=[b for b in make(material) if b]) for title, make in makers.items()]
+    needs: dict[_Maker, str] = {_duels: "duels", _cascade: CASCADE, _hand_over: "hand_over"}
+    needs |= {_classifiers: "classifiers", _limits: "limits", _bounds: "bounds"}
+    return [
+        Section(title=title, blocks=[block for block in make(material) if block])
+        for title, make in makers.items()
+        if make not in needs or needs[make] in material.tables
+    ]
 
 
 def summary_table(
@@ -113,16 +127,21 @@ def summary_table(
     sizes = table.drop_duplicates("group").set_index("group")["pairs"]
     names = [name for name in order_of(whole["input"]) if name != "generalized"]
     who, values = [], []
-    order = [*BASELINES, "snn", *PEER_TITLES, "paper", CASCADE, OURS]
+    order = [*text.BASELINES, "snn", *text.PEER_TITLES, "paper", CASCADE, OURS]
     for name in sorted(names, key=lambda n: order.index(n) if n in order else 2):
         of_input = whole[whole["input"] == name].sort_values("successes", ascending=False, kind="stable")
         best = str(of_input["estimator"].iloc[0])
         own = table[(table["input"] == name) & (table["estimator"] == best)].set_index(["group", "threshold_px"])
         who.append(["cascade of X_L and ours" if name == CASCADE else input_title(name), best])
         values.append([100 * own["successes"][g, t] / sizes[g] for t in px for g in groups])
-    texts = zip(*(best_bold(column) for column in zip(*values, strict=True)), strict=True)
+    texts = zip(*(text.best_bold(column) for column in zip(*values, strict=True)), strict=True)
     head = ["matches", "estimator", *(f"{group_title(g, int(sizes[g]))}, {t:g} px" for t in px for g in groups)]
     return Table(head=head, rows=[[*names, *cells] for names, cells in zip(who, texts, strict=True)], texts=2)
+
+
+def _plain(name: str, *pictures: str) -> _Maker:
+    """Return what makes a section of prose and pictures alone."""
+    return lambda m: iter([say(name), *(m.picture(one) for one in pictures)])
 
 
 def _summary(m: Material) -> Iterator[Block]:
@@ -130,11 +149,6 @@ def _summary(m: Material) -> Iterator[Block]:
     yield say("summary")
     yield summary_table(m.tables["successes"], m.tables.get(CASCADE), (ALL, *m.results.hard), px)
     yield m.picture("successes", seeds=m.results.tables.runs["seed"].nunique())
-
-
-def _example(m: Material) -> Iterator[Block]:
-    yield say("example")
-    yield m.picture("example")
 
 
 def _successes(m: Material) -> Iterator[Block]:
@@ -159,7 +173,7 @@ def _successes(m: Material) -> Iterator[Block]:
     yield m.picture("curves")
 
 
-def _named(row: Row) -> dict[str, Any]:
+def _named(row: text.Row) -> dict[str, Any]:
     return {str(name): value for name, value in row.items()}
 
 
@@ -171,10 +185,10 @@ def _compact(at: pd.DataFrame, m: Material) -> Table:
     rows = []
     for estimator in order_of(at["estimator"]):
         names = [name for name in m.results.inputs(estimator) if name != "paper"]
-        cells = [" / ".join(best_bold(records[estimator, g, n]["successes"] for n in names)) for g in groups]
+        cells = [" / ".join(text.best_bold(records[estimator, g, n]["successes"] for n in names)) for g in groups]
         cells.append(interval(records.get((estimator, ALL, OURS), {}), "gain"))
         shares = ((100 * records[estimator, g, n]["scene_share"] for n in names) for g in by_scene)
-        rows.append([estimator, *cells, *(" / ".join(best_bold(values, 0)) for values in shares)])
+        rows.append([estimator, *cells, *(" / ".join(text.best_bold(values, 0)) for values in shares)])
     pairs = at.drop_duplicates("group").set_index("group")["pairs"]
     head = [f"{_names(m)}, below {m.params.success_px:g} px", *(group_title(g, int(pairs[g])) for g in groups)]
     return Table(head=[*head, "ours over X_L", *(f"{g}, % per scene" for g in by_scene)], rows=rows)
@@ -186,20 +200,20 @@ def _names(m: Material) -> str:
 
 
 def _success_block(at: pd.DataFrame, title: str) -> Table:
-    others = sorted((n for n in order_of(at["input"]) if n not in BASELINES), key=lambda name: name == OURS)
+    others = sorted((n for n in order_of(at["input"]) if n not in text.BASELINES), key=lambda name: name == OURS)
     compared = [("paper", "gain", "as printed over X_L")] if "paper" in others else []
     compared += [(OURS, "gain", "ours over X_L"), (OURS, "snn_gain", "ours over snn")]
     rows: list[list[str]] = []
     for group, of_group in at.groupby("group", sort=False):
         rows.append([group_title(str(group), int(of_group["pairs"].iloc[0]))])
         for estimator, part in of_group.groupby("estimator", sort=False):
-            cells: dict[str, Row] = {str(row["input"]): row for row in part.to_dict("records")}
-            without, ours = next(row for name, row in cells.items() if name in BASELINES), cells.get(OURS, {})
+            cells: dict[str, text.Row] = {str(row["input"]): row for row in part.to_dict("records")}
+            without, ours = next(row for name, row in cells.items() if name in text.BASELINES), cells.get(OURS, {})
             found = [without, *(cells.get(name) for name in others)]
             texts = ["" if row is None else f"{row['successes']:.1f} ± {row['successes_sd']:.1f}" for row in found]
             texts += [interval(cells.get(name, {}), column) for name, column, _ in compared]
             texts.append(" → ".join(share(row.get("scene_share", np.nan)) for row in (without, ours)))
-            texts.append(interval(ours, "scene_gain", points))
+            texts.append(interval(ours, "scene_gain", text.points))
             texts.append(" → ".join(number(row.get("successes_ok", np.nan), 1) for row in (without, ours)))
             rows.append([str(estimator), *texts])
     head = ["estimator", "X_L", *(input_title(name) for name in others), *(title for *_, title in compared)]
@@ -209,14 +223,15 @@ def _success_block(at: pd.DataFrame, title: str) -> Table:
 def _duels(m: Material) -> Iterator[Block]:
     yield say("duels", champion=m.params.champion)
     yield m.picture("duels")
-    for threshold, at in m.tables["duels"].groupby("threshold_px", sort=False) if "duels" in m.tables else ():
+    for threshold, at in m.tables["duels"].groupby("threshold_px", sort=False):
         places = [(group, name) for group in order_of(at["group"]) for name in order_of(at["input"])]
-        cells = at.set_index(["estimator", "group", "input"]).to_dict("index")
+        records = at.set_index(["estimator", "group", "input"]).to_dict("index")
         rows = []
         for estimator in order_of(at["estimator"]):
-            found = [cells.get((estimator, *place), {}) for place in places]
-            texts = ((interval(row, "difference", signed), row.get("decided", "open")) for row in found)
-            rows.append([estimator, *(text if kind == "open" else f"**{text}**" for text, kind in texts)])
+            found = [records.get((estimator, *place), {}) for place in places]
+            marks = ("" if row.get("decided", "open") == "open" else "**" for row in found)
+            cells = (interval(row, "difference", signed) for row in found)
+            rows.append([estimator, *(f"{mark}{cell}{mark}" for mark, cell in zip(marks, cells, strict=True))])
         head = ["against", *(f"{group}, {input_title(name)}" for group, name in places)]
         yield Table(head=head, rows=rows, fold=f"Pairs ahead below {threshold:g} px")
 
@@ -239,7 +254,7 @@ def _poses(m: Material) -> Iterator[Block]:
     for estimator in order_of(at["estimator"]):
         names = [name for name in m.results.inputs(estimator) if name != "paper"]
         areas = ([100 * records[estimator, group, name][f"auc_{t:g}"] for name in names] for group, t in places)
-        rows.append([estimator, *(" / ".join(best_bold(values, 0)) for values in areas)])
+        rows.append([estimator, *(" / ".join(text.best_bold(values, 0)) for values in areas)])
     cameras = at.drop_duplicates("group").set_index("group")["cameras"].to_dict()
     head = [_names(m), *(f"{group_title(g, cameras.get(g, 0))}, {t:g}°" for g, t in places)]
     yield Table(head=head, rows=rows)
@@ -266,7 +281,7 @@ def _rankings(m: Material) -> Iterator[Block]:
     for group, part in m.groups_of("rankings"):
         rows.append([group_title(group, int(part["pairs"].max()))])
         for row in part.to_dict("records"):
-            ranking = RANKING_TITLES.get(row["ranking"], row["ranking"])
+            ranking = text.RANKING_TITLES.get(row["ranking"], row["ranking"])
             title = input_title(row["input"]) + ("" if row["ranking"] == "final" else f", {ranking}")
             cells = [f"{number(row[c])} / {number(row[f'scene_{c}'])}" for c in PRECISIONS]
             cells += [f"{row['matches']:.0f}", f"{row['right']:.0f}", share(row["enough"])]
@@ -295,14 +310,13 @@ def _calibration(m: Material) -> Iterator[Block]:
 
 
 def _cascade(m: Material) -> Iterator[Block]:
-    if CASCADE not in m.tables:
-        return
     table, success_px = m.tables[CASCADE], m.params.success_px
     losses = []
     for threshold, part in table[table["group"] == ALL].groupby("threshold_px", sort=False):
         worst = max(part.to_dict("records"), key=lambda row: float(row["lost"]))
         losses.append(f"{worst['estimator']}, {worst['lost']:.1f} of {worst['pairs']} pairs below {threshold:g} px")
-    yield say(CASCADE, rule=m.rule, success_px=success_px, losses="; ".join(losses))
+    rule = "" if m.extras.rule is None else rule_in_words(m.extras.rule)
+    yield say(CASCADE, rule=rule, success_px=success_px, losses="; ".join(losses))
     rows: list[list[str]] = []
     counts = ("without", "always", "cascade", "lost", "won")
     for group, part in m.groups_of(CASCADE):
@@ -314,29 +328,22 @@ def _cascade(m: Material) -> Iterator[Block]:
     yield m.picture(CASCADE)
 
 
-def _time(m: Material) -> Iterator[Block]:
-    yield say("time")
-    yield m.picture("overhead")
-    yield m.picture("estimators")
-
-
 def _pairs(m: Material) -> Iterator[Block]:
     yield say(f"{m.kind} pairs")
     yield m.picture("contact_sheet")
-    rows, counts = [], ("scenes", *DIFFICULTIES, "unlabelled")
+    rows, counts = [], ("scenes", *text.DIFFICULTIES, "unlabelled")
     for row in m.tables["sets"].to_dict("records"):
         title = f"{row['title']} (the paper's)" if row["paper"] else str(row["title"])
         labels = "not present" if row["state"] == "not present" else str(row["labels"])
         labels += ", reported apart" if row["state"] == "apart" else ""
-        rows.append(
-            [title, labels, str(row["pairs"]), *("" if pd.isna(row[name]) else str(row[name]) for name in counts)]
-        )
+        numbers = ("" if pd.isna(row[name]) else str(row[name]) for name in counts)
+        rows.append([title, labels, str(row["pairs"]), *numbers])
     yield Table(head=("set", "labels", "pairs", *counts), rows=rows, texts=2)
     yield say("pairs")
 
 
 def _method(m: Material) -> Iterator[Block]:
-    peers = " and ".join(input_title(name) for name in m.results.inputs_of_all if name in PEER_TITLES)
+    peers = " and ".join(input_title(name) for name in m.results.inputs_of_all if name in text.PEER_TITLES)
     peers = f" {peers}: rankers of others on the same features, handed over as they are." if peers else ""
     yield say("method", peers=peers, seeds=m.results.tables.runs["seed"].nunique())
     rows = [
@@ -350,12 +357,10 @@ def _method(m: Material) -> Iterator[Block]:
 
 
 def _hand_over(m: Material) -> Iterator[Block]:
-    if "hand_over" not in m.tables:
-        return
     yield say("hand_over")
     table = m.tables["hand_over"]
     rows = [
-        [row["estimator"], input_title(row["input"]), *(setting(row[name]) for name in _SETTINGS if name in row)]
+        [row["estimator"], input_title(row["input"]), *(text.setting(row[name]) for name in _SETTINGS if name in row)]
         + [f"{row['successes_10']:.1f} of {row['pairs']}"]
         for row in table[table["chosen"].astype(str).str.lower() == "true"].to_dict("records")
     ]
@@ -365,27 +370,14 @@ def _hand_over(m: Material) -> Iterator[Block]:
 
 
 def _classifiers(m: Material) -> Iterator[Block]:
-    if "classifiers" not in m.tables:
-        return
     yield say("classifiers")
     rows = []
     for (preset, target, family), part in m.tables["classifiers"].groupby(["preset", "target", "family"], sort=False):
-        both = part.set_index("metric")[["grouped", "ungrouped"]].reindex(list(METRIC_TITLES))
+        both = part.set_index("metric")[["grouped", "ungrouped"]].reindex(list(text.METRIC_TITLES))
         cells = [" ".join(filter(None, (number(value, 3) for value in pair))) for pair in both.to_numpy(np.float64)]
-        rows.append([str(preset), TARGET_TITLES.get(str(target), str(target)), str(family), *cells])
-    yield Table(head=("preset", "what is classified", "classifier", *METRIC_TITLES.values()), rows=rows, texts=3)
+        rows.append([str(preset), text.TARGET_TITLES.get(str(target), str(target)), str(family), *cells])
+    yield Table(head=("preset", "what is classified", "classifier", *text.METRIC_TITLES.values()), rows=rows, texts=3)
     yield m.picture("classifiers")
-
-
-def _roll(m: Material) -> Iterator[Block]:
-    yield say("roll")
-    yield m.picture("roll")
-
-
-def _analysis(m: Material) -> Iterator[Block]:
-    yield say("analysis")
-    for name in ("steps", "ablations", "limits"):
-        yield m.picture(name)
 
 
 def _statuses(m: Material) -> Iterator[Block]:
@@ -406,21 +398,14 @@ def _statuses(m: Material) -> Iterator[Block]:
 
 def _limits(m: Material) -> Iterator[Block]:
     """Yield where the champion fails, and who else solves these pairs."""
-    if "limits" not in m.tables:
-        return
     records = m.tables["limits"].to_dict("records")
     known = {"champion": m.params.champion, "success_px": m.params.success_px}
     name = "limits" if records[0]["failing"] else "no limits"
     yield say(name, **_named(records[0]), **known, nobody=records[0]["failing"] - records[0]["anyone"])
-    titles = {
-        "pairs": "pairs",
-        "failing": "failing",
-        "precision_failing": "top 100, failing",
-        "precision_solved": "top 100, solved",
-        "other_input": "solved by it on another input",
-        "other_estimator": "by another on ours",
-        "anyone": "by any on any input",
-    }
+    titles = {"pairs": "pairs", "failing": "failing"}
+    titles |= {"precision_failing": "top 100, failing", "precision_solved": "top 100, solved"}
+    titles |= {"other_input": "solved by it on another input", "other_estimator": "by another on ours"}
+    titles["anyone"] = "by any on any input"
     rows = [
         [str(row["group"]), *(number(row[n]) if n.startswith("precision") else str(row[n]) for n in titles)]
         for row in records
@@ -429,12 +414,12 @@ def _limits(m: Material) -> Iterator[Block]:
 
 
 def _gallery(m: Material) -> Iterator[Block]:
-    if m.params.gallery is not None and m.cases:
-        yield say("gallery", estimator=m.params.gallery.estimator, kept=m.kept)
-        yield from case_blocks(m.cases, "gallery", "png")
+    gallery, kept, cases = m.params.gallery, m.extras.gallery, m.extras.cases
+    if gallery is not None and cases:
+        yield say("gallery", estimator=gallery.estimator, kept="" if kept is None else (kept / "index.html").as_posix())
+        yield from case_blocks(cases, "gallery", "png")
 
 
 def _bounds(m: Material) -> Iterator[Block]:
-    if "bounds" in m.tables:
-        yield say("bounds")
-        yield Table(head=("bound", "found", "met"), rows=bound_rows(m.tables["bounds"]), texts=3)
+    yield say("bounds")
+    yield Table(head=("bound", "found", "met"), rows=bound_rows(m.tables["bounds"]), texts=3)

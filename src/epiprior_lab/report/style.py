@@ -9,36 +9,29 @@ from pathlib import Path
 from typing import Any, Literal
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib import rc_params_from_file
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from epiprior.types import FloatArray
+from epiprior_lab.evaluation.statistics import success_curve
 from epiprior_lab.report.text import INPUT_TITLES, RANKING_TITLES
 
 INK = "#2b2f36"
 MUTED = "#7a828e"
 GRID = "#e6e8ec"
+CURVE_LIMIT_PX = 20.0
+DOTS: Mapping[str, Any] = {"mec": "white", "mew": 0.6, "zorder": 3}  # of dots with error bars
 
 _RC = rc_params_from_file(Path(__file__).parent / "templates" / "report.mplstyle", use_default_template=False)
 
 
 @dataclass(frozen=True)
 class Look:
-    """How one series is drawn.
-
-    Parameters
-    ----------
-    label : str
-        Its name for a reader.
-    colour : str
-        From the palette of Okabe and Ito, or grey; `line` and `marker` are further cues beside it.
-    line : str or tuple
-        Line style of matplotlib.
-    marker : str
-        Marker of matplotlib.
-    """
+    """How one series is drawn: a colour from the palette of Okabe and Ito, or grey; line and marker of matplotlib."""
 
     label: str
     colour: str
@@ -46,28 +39,24 @@ class Look:
     marker: str = "o"
 
 
-INPUT_LOOKS: Mapping[str, Look] = {
-    name: Look(INPUT_TITLES[name], *look)
-    for name, look in {
-        "standard": ("#8b919b", ":", "s"),
-        "generalized": ("#cc79a7", (0, (1, 1)), "v"),
-        "snn": ("#0072b2", "--", "D"),
-        "adalam": ("#009e73", (0, (5, 1)), "P"),
-        "gms": ("#56b4e9", (0, (3, 1, 1, 1)), "X"),
-        "paper": ("#e69f00", "-.", "^"),
-        "default": ("#d55e00", "-", "o"),
-    }.items()
+_INPUTS = {
+    "standard": ("#8b919b", ":", "s"),
+    "generalized": ("#cc79a7", (0, (1, 1)), "v"),
+    "snn": ("#0072b2", "--", "D"),
+    "adalam": ("#009e73", (0, (5, 1)), "P"),
+    "gms": ("#56b4e9", (0, (3, 1, 1, 1)), "X"),
+    "paper": ("#e69f00", "-.", "^"),
+    "default": ("#d55e00", "-", "o"),
 }
-RANKING_LOOKS: Mapping[str, Look] = {
-    name: Look(RANKING_TITLES[name], *look)
-    for name, look in {
-        "lowe": ("#8b919b", ":", "s"),
-        "blogs": ("#56b4e9", "--", "D"),
-        "2keypoint": ("#009e73", "-.", "v"),
-        "sfm": ("#e69f00", (0, (5, 1)), "^"),
-        "final": ("#d55e00", "-", "o"),
-    }.items()
+_RANKINGS = {
+    "lowe": ("#8b919b", ":", "s"),
+    "blogs": ("#56b4e9", "--", "D"),
+    "2keypoint": ("#009e73", "-.", "v"),
+    "sfm": ("#e69f00", (0, (5, 1)), "^"),
+    "final": ("#d55e00", "-", "o"),
 }
+INPUT_LOOKS: Mapping[str, Look] = {name: Look(INPUT_TITLES[name], *look) for name, look in _INPUTS.items()}
+RANKING_LOOKS: Mapping[str, Look] = {name: Look(RANKING_TITLES[name], *look) for name, look in _RANKINGS.items()}
 
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8b919b", "#2b2f36")
 Sharing = bool | Literal["row", "col"]
@@ -77,17 +66,7 @@ Sharing = bool | Literal["row", "col"]
 def styled(
     rows: int, columns: int, size: tuple[float, float], *, sharex: Sharing = False, sharey: Sharing = False
 ) -> Iterator[tuple[Figure, list[list[Axes]]]]:
-    """Yield a figure of `rows` x `columns` axes in the common style; save it inside.
-
-    Parameters
-    ----------
-    rows, columns : int
-        Axes.
-    size : tuple of float
-        Width and height, inches.
-    sharex, sharey : bool, or "row" or "col"
-        Which axes have the same limits.
-    """
+    """Yield a figure of `rows` x `columns` axes in the common style, its size in inches; save it inside."""
     with mpl.rc_context(_RC):
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
@@ -116,6 +95,41 @@ def legend(figure: Figure, looks: Sequence[Look], *, markers: bool = False, more
     figure.legend(handles=handles, loc="outside upper center", ncols=-(-len(handles) // rows), handlelength=2.6)
 
 
-def look_of(looks: Mapping[str, Look], name: str, index: int) -> Look:
-    """Return the look of a known series, or one from the palette for another."""
-    return looks.get(name) or Look(name, SERIES[index % len(SERIES)])
+def looks_of(names: Sequence[str], looks: Mapping[str, Look] = INPUT_LOOKS) -> dict[str, Look]:
+    """Return the looks of series in the order of `looks`; others are last and get a colour of the palette."""
+    known = sorted(names, key=lambda name: list(looks).index(name) if name in looks else len(looks))
+    return {name: looks.get(name) or Look(name, SERIES[k % len(SERIES)]) for k, name in enumerate(known)}
+
+
+def axis_legend(figure: Figure, axis: Axes) -> None:
+    """Put what is labelled in one axes above all of them."""
+    handles, labels = axis.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(handles))
+
+
+def label_grid(
+    axes: Sequence[Sequence[Axes]], *, rows: Sequence[str] = (), columns: Sequence[str] = (), below: str = ""
+) -> None:
+    """Name the rows on the left and the columns on top of a grid of axes, and the x axis below it."""
+    for row, name in zip(axes, rows, strict=False):
+        row[0].set_ylabel(name, fontweight="bold")
+    for axis, name in zip(axes[0], columns, strict=False):
+        axis.set_title(name)
+    for axis in axes[-1] if below else ():
+        axis.set_xlabel(below)
+
+
+def draw_curves(
+    axis: Axes, looks: Mapping[str, Look], errors_px: Mapping[str, FloatArray], bars_px: FloatArray, *, bold: str = ""
+) -> None:
+    """Draw successful pairs over the threshold of every series that has errors; bars are one deviation over seeds."""
+    grid = np.linspace(0, CURVE_LIMIT_PX, 201)
+    for k, (name, look) in enumerate(looks.items()):
+        if name in errors_px:
+            width = 2.4 if name == bold else 1.6
+            axis.plot(grid, success_curve(errors_px[name], grid)[0], color=look.colour, ls=look.line, lw=width)
+            at = bars_px + 0.22 * (k - (len(looks) - 1) / 2)  # side by side, so that bars do not hide bars
+            mean, deviation = success_curve(errors_px[name], at)
+            axis.errorbar(at, mean, deviation, fmt="none", ecolor=look.colour, elinewidth=0.8, alpha=0.8)
+    axis.axvline(10, color=MUTED, lw=0.8, ls=(0, (2, 2)), zorder=0)
+    axis.set_xlim(0, CURVE_LIMIT_PX)

@@ -52,13 +52,13 @@ def success_table(results: Results, thresholds_px: Sequence[float]) -> pd.DataFr
                     row["successes_ok"] = float(results.accepted.of(estimator, name, threshold)[member].sum())
                     row["scene_share"] = float(shares[name].mean())
                     if name != base:
-                        found = results.compare(rates[base], rates[name], member, *key)
-                        row |= results.interval("gain", found.contribution, member)
-                        per_scene = results.compare_scenes(shares[base], shares[name], *key)
-                        row |= results.interval("scene_gain", per_scene.difference, member)
+                        gain = results.compare(rates[base], rates[name], member, *key).contribution
+                        scene_gain = results.compare_scenes(shares[base], shares[name], *key).difference
+                        row |= results.interval("gain", gain, member)
+                        row |= results.interval("scene_gain", scene_gain, member)
                     if name == OURS and SNN in names:
-                        found = results.compare(rates[SNN], rates[name], member, *key)
-                        row |= results.interval("snn_gain", found.contribution, member)
+                        snn_gain = results.compare(rates[SNN], rates[name], member, *key).contribution
+                        row |= results.interval("snn_gain", snn_gain, member)
                     rows.append(row)
     return pd.DataFrame(rows)
 
@@ -69,11 +69,6 @@ def duel_table(results: Results, champion: str, thresholds_px: Sequence[float]) 
     One row per threshold, main group, input (`OURS`, `SNN`) and other estimator: ``pairs``; successful pairs of the
     ``champion`` and of the ``other``; their ``difference`` with the ends of its 95 % interval; ``decided``: ``better``
     or ``worse`` where the interval excludes zero by more than rounding, else ``open``.
-
-    Raises
-    ------
-    ReportError
-        If the champion has no results.
     """
     if champion not in results.estimators:
         raise ReportError(f"no results of {champion}, only of {', '.join(results.estimators)}")
@@ -82,9 +77,8 @@ def duel_table(results: Results, champion: str, thresholds_px: Sequence[float]) 
         for group, member in results.groups(results.main):
             for name in (n for n in (OURS, SNN) if n in results.inputs(champion)):
                 own = results.errors.of(champion, name, threshold)
-                for estimator in results.estimators:
-                    if estimator == champion or name not in results.inputs(estimator):
-                        continue
+                rivals = (e for e in results.estimators if e != champion and name in results.inputs(e))
+                for estimator in rivals:
                     other = results.errors.of(estimator, name, threshold)
                     got = results.compare(other, own, member, "duel", group, estimator, name, str(threshold))
                     n = int(member.sum())
@@ -201,12 +195,8 @@ def calibration_table(results: Results) -> pd.DataFrame:
             sums = calibration_sums(of_group[of_group["input"] == name])
             if not sums.count.sum():
                 continue
-            row: Cells = {
-                "group": group,
-                "input": name,
-                "matches": int(sums.count.sum()),
-                "right": int(sums.right.sum()),
-            }
+            row: Cells = {"group": group, "input": name}
+            row |= {"matches": int(sums.count.sum()), "right": int(sums.right.sum())}
             row |= {"brier_score": sums.brier_score, "expected_calibration_error": sums.expected_calibration_error}
             row["lowest_share"] = float(sums.count[0] / sums.count.sum())
             upper = CalibrationBins(**{column: values[1:] for column, values in vars(sums).items()})

@@ -22,15 +22,8 @@ from epiprior_lab.report.text import ALL, BASELINES, input_title, number, order_
 def seconds_table(timings: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
     """Return how long each estimator takes on each input when it succeeds and when it fails.
 
-    Parameters
-    ----------
-    timings : DataFrame
-        Rows of `records.TimingRecord`.
-    threshold_px : float
-        Of success, pixels.
-
     Columns: ``estimator, input, outcome`` (``success`` or ``failure``), ``runs``, and mean, median and longest seconds
-    of the estimator alone; outcomes that did not occur have no row.
+    of the estimator alone; outcomes that did not occur have no row. `timings` holds rows of `records.TimingRecord`.
     """
     table = timings[timings["input"] != CASCADE]
     table = table.assign(outcome=np.where(table["error_px"] < threshold_px, "success", "failure"))
@@ -47,25 +40,22 @@ def overhead_table(timings: pd.DataFrame, results: Results, threshold_px: float)
     share of runs whose matches were ranked; ``contribution`` to successes, NaN over several estimators.
     """
     keys = ["group", "pair_id", "estimator", "seed"]
-    without = timings[timings["input"].isin(BASELINES)][[*keys, "seconds_total"]]
-    table = timings.merge(without, on=keys, suffixes=("", "_without"), validate="many_to_one")
-    names = [name for name in order_of(timings["input"]) if name in ("paper", "default", CASCADE)]
+    baseline = timings[timings["input"].isin(BASELINES)][[*keys, "seconds_total"]]
+    table = timings.merge(baseline, on=keys, suffixes=("", "_without"), validate="many_to_one")
     rows = []
-    for name in names:
+    for name in (name for name in order_of(timings["input"]) if name in ("paper", "default", CASCADE)):
         for group in (*order_of(timings["group"]), ALL):
             for estimator in (*order_of(timings["estimator"]), ALL):
-                part = table[table["input"] == name]
-                part = part if group == ALL else part[part["group"] == group]
-                part = part if estimator == ALL else part[part["estimator"] == estimator]
+                chosen = table["input"] == name
+                chosen &= (group == ALL) | (table["group"] == group)
+                part = table[chosen & ((estimator == ALL) | (table["estimator"] == estimator))]
                 if part.empty:
                     continue
+                without, own = part["seconds_total_without"], part["seconds_total"]
                 row: dict[str, Any] = {"input": name, "group": group, "estimator": estimator, "runs": len(part)}
-                row["seconds_without"] = part["seconds_total_without"].mean()
-                row["seconds_with"] = part["seconds_total"].mean()
-                row["overhead"] = row["seconds_with"] / row["seconds_without"]
-                row["median_overhead"] = (part["seconds_total"] / part["seconds_total_without"]).median()
-                row["preprocessed"] = part["preprocessed"].mean()
-                row["contribution"] = np.nan
+                row |= {"seconds_without": without.mean(), "seconds_with": own.mean()}
+                row |= {"overhead": own.mean() / without.mean(), "median_overhead": (own / without).median()}
+                row |= {"preprocessed": part["preprocessed"].mean(), "contribution": np.nan}
                 if estimator != ALL and name != CASCADE:
                     inputs = (results.inputs(estimator)[0], name)
                     a, b = (results.errors.of(estimator, i, threshold_px)[results.masks[group]].mean() for i in inputs)
@@ -85,30 +75,18 @@ def write_timings(timings: pd.DataFrame, results: Results, out: Path, threshold_
     figures.overhead_figure(overhead[single], out / "overhead.png")
     figures.seconds_figure(seconds, out / "estimators.png")
     rows = []
-    whole = overhead[overhead["group"] == ALL]
-    for preset, part in whole.groupby("input", sort=False):
+    for preset, part in overhead[overhead["group"] == ALL].groupby("input", sort=False):
         rows.append([input_title(str(preset))])
         for row in part.to_dict("records"):
-            times = [
-                number(row[column], 2) for column in ("seconds_without", "seconds_with", "overhead", "median_overhead")
-            ]
+            times = (number(row[n]) for n in ("seconds_without", "seconds_with", "overhead", "median_overhead"))
             rows.append([row["estimator"], str(row["runs"]), *times, share(row["preprocessed"])])
-    head = (
-        "estimator",
-        "runs",
-        "seconds without",
-        "seconds with",
-        "ratio",
-        "ratio, median of runs",
-        "runs preprocessed",
-    )
+    head = ("estimator", "runs", "seconds without", "seconds with", "ratio", "ratio, median of runs")
+    whole = Table(head=[*head, "runs preprocessed"], rows=rows)
     sections = [
-        Section(title="From images to F", blocks=[Table(head=head, rows=rows), picture("overhead", "overhead.png")]),
+        Section(title="From images to F", blocks=[whole, picture("overhead", "overhead.png")]),
         Section(title="Each estimator alone", blocks=[picture("estimators", "estimators.png")]),
         Section(title="Bounds", blocks=[Table(head=("bound", "found", "met"), rows=bound_rows(judged), texts=3)]),
     ]
-    number_of_pairs = len(timings[["group", "pair_id"]].drop_duplicates())
-    about = (
-        f"{number_of_pairs} pairs, {timings['estimator'].nunique()} estimators, one run at a time, matching included."
-    )
+    pairs, estimators = len(timings[["group", "pair_id"]].drop_duplicates()), timings["estimator"].nunique()
+    about = f"{pairs} pairs, {estimators} estimators, one run at a time, matching included."
     Page(title="Times", about=about, sections=sections).write(out, markdown="times.md", html="")
