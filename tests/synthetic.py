@@ -108,10 +108,7 @@ def make_pair(
     X = scene_points(scene, 4 * inliers + 600, rng, 4 * off_plane if scene == "plane+" else 0)
     head = 4 * off_plane if scene == "plane+" else 0
     parts = []
-    for chunk, wanted in (
-        (X[:head], off_plane if head else 0),
-        (X[head:], inliers - (off_plane if head else 0)),
-    ):
+    for chunk, wanted in ((X[:head], off_plane if head else 0), (X[head:], inliers - (off_plane if head else 0))):
         p1, p2 = project(chunk, np.eye(3), np.zeros(3)), project(chunk, R, t)
         seen = ((p1 >= 0) & (p1 < [WIDTH, HEIGHT]) & (p2 >= 0) & (p2 < [WIDTH, HEIGHT])).all(axis=1)
         parts.append((p1[seen][:wanted], p2[seen][:wanted]))

@@ -183,10 +183,7 @@ def test_no_geometry_is_exit_code_1(library, status):
         (ImageError("a.jpg: no such image file"), "epiprior: error: a.jpg: no such image file"),
         (ModelError("two\nlines"), "epiprior: error: two lines"),
         (OSError(errno.ENOSPC, "No space left on device"), "epiprior: error: No space left on device"),
-        (
-            PermissionError(errno.EACCES, "Permission denied", "/x/y"),
-            "epiprior: error: /x/y: Permission denied",
-        ),
+        (PermissionError(errno.EACCES, "Permission denied", "/x/y"), "epiprior: error: /x/y: Permission denied"),
     ],
 )
 def test_errors_are_one_line_and_exit_code_2(library, error, line):
@@ -307,10 +304,7 @@ def test_info_of_nothing(tmp_path):
 
 
 def test_help_and_version():
-    for arguments in (
-        ["--help"],
-        *([name, "--help"] for name in ("match", "estimate", "draw", "info", "colmap")),
-    ):
+    for arguments in (["--help"], *([name, "--help"] for name in ("match", "estimate", "draw", "info", "colmap"))):
         result = run(*arguments)
         assert result.exit_code == 0
         assert "epiprior" in result.stdout or arguments == ["--help"]

@@ -88,12 +88,7 @@ def test_epipolar_lines_pass_through_their_points():
 
 @pytest.mark.parametrize(
     ("shape1", "shape2"),
-    [
-        ((10, 10), (768, 1024, 3)),
-        ((3000, 4000), (480, 640)),
-        ((900, 300), (300, 900)),
-        ((8, 2000), (2000, 8)),
-    ],
+    [((10, 10), (768, 1024, 3)), ((3000, 4000), (480, 640)), ((900, 300), (300, 900)), ((8, 2000), (2000, 8))],
 )
 def test_any_sizes_fit(shape1, shape2):
     images = [np.full(shape, 90, np.uint8) for shape in (shape1, shape2)]

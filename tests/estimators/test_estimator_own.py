@@ -67,13 +67,7 @@ def test_supporters_joined_with_others_lead_off_a_plane():
             pair = make_pair(scene="plane+", inliers=200, outliers=600, off_plane=30, order=0.5, seed=seed)
             recipe = Recipe(kind=SUPPORT, local=1, local_share=0.5, mixed_share=share, min_iterations=1_500)
             raw = search(
-                pair.matches,
-                np.full(800, 0.5),
-                recipe,
-                threshold_px=1.5,
-                confidence=0.99,
-                max_iterations=1_500,
-                seed=0,
+                pair.matches, np.full(800, 0.5), recipe, threshold_px=1.5, confidence=0.99, max_iterations=1_500, seed=0
             )
             close += pair.error_px(raw.F) < 3
         found.append(close)

@@ -12,16 +12,7 @@ import pytest
 
 import epiprior
 from epiprior.errors import EstimatorError, FeatureError, SettingsError
-from epiprior.estimators import (
-    EstimatorSettings,
-    RawModel,
-    fit,
-    licences,
-    list_estimators,
-    names,
-    opencv,
-    registry,
-)
+from epiprior.estimators import EstimatorSettings, RawModel, fit, licences, list_estimators, names, opencv, registry
 from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate, MatchSet, Status
 from synthetic import make_matches, make_pair, run
@@ -289,9 +280,7 @@ def backend_answers(monkeypatch, name, F):
 
 
 @pytest.mark.parametrize(
-    "F",
-    [np.full((3, 3), np.nan), np.zeros((3, 3)), np.ones((9, 3))],
-    ids=["nan", "zero", "stack"],
+    "F", [np.full((3, 3), np.nan), np.zeros((3, 3)), np.ones((9, 3))], ids=["nan", "zero", "stack"]
 )
 @each_estimator
 def test_no_matrix_of_any_backend_is_taken_for_a_model(monkeypatch, name, F):
@@ -314,13 +303,7 @@ def test_the_mask_of_no_backend_is_looked_at(monkeypatch, name):
 
 @pytest.mark.parametrize(
     "F",
-    [
-        np.full((3, 3), np.nan),
-        np.zeros((3, 3)),
-        np.ones((9, 3)),
-        np.diag([1.0, 0.0, 0.0]),
-        np.diag([1, 1, np.inf]),
-    ],
+    [np.full((3, 3), np.nan), np.zeros((3, 3)), np.ones((9, 3)), np.diag([1.0, 0.0, 0.0]), np.diag([1, 1, np.inf])],
     ids=["nan", "zero", "stack", "rank 1", "infinite"],
 )
 def test_a_matrix_that_is_none_is_no_model(monkeypatch, F):

@@ -34,12 +34,7 @@ def test_one_to_one_is_its_naive_twin(pairs):
 
 
 def test_one_to_one_of_a_small_case():
-    assert one_to_one_mask(np.array([3, 3, 4, 5]), np.array([1, 2, 1, 2])).tolist() == [
-        True,
-        False,
-        False,
-        True,
-    ]
+    assert one_to_one_mask(np.array([3, 3, 4, 5]), np.array([1, 2, 1, 2])).tolist() == [True, False, False, True]
 
 
 def test_one_to_one_refuses_nonsense():

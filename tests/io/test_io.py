@@ -111,21 +111,12 @@ def broken(tmp_path, change):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (
-            lambda lines: lines.__setitem__(0, lines[0].replace("distance_ratio", "ratio")),
-            "column distance_ratio",
-        ),
-        (
-            lambda lines: lines.__setitem__(3, "0,0,abc" + lines[3][lines[3].index(",", 4) :]),
-            "line 4.*x1.*abc",
-        ),
+        (lambda lines: lines.__setitem__(0, lines[0].replace("distance_ratio", "ratio")), "column distance_ratio"),
+        (lambda lines: lines.__setitem__(3, "0,0,abc" + lines[3][lines[3].index(",", 4) :]), "line 4.*x1.*abc"),
         (lambda lines: lines.__setitem__(2, lines[2] + ",5"), "line 3"),
         (lambda lines: lines.__setitem__(2, lines[2].rsplit(",", 1)[0] + ",1.5"), "line 3.*feature2"),
         (lambda lines: lines.__setitem__(2, "0,90" + lines[2][3:]), "roll_deg"),
-        (
-            lambda lines: lines.__setitem__(2, "0,0,nan" + lines[2][lines[2].index(",", 4) :]),
-            "column x1.*NaN",
-        ),
+        (lambda lines: lines.__setitem__(2, "0,0,nan" + lines[2][lines[2].index(",", 4) :]), "column x1.*NaN"),
         (list.clear, "lacks the column set"),
     ],
 )
@@ -141,15 +132,7 @@ def test_files_that_are_no_tables(tmp_path):
     np.savez(tmp_path / "other.npz", x1=np.zeros(3))
     np.savez(tmp_path / "objects.npz", **dict.fromkeys(_npz_columns(tmp_path), np.array([{}])))
     (tmp_path / "m.txt").write_text("")
-    for name in (
-        "picture.csv",
-        "text.npz",
-        "other.npz",
-        "objects.npz",
-        "m.txt",
-        "missing.csv",
-        "missing.npz",
-    ):
+    for name in ("picture.csv", "text.npz", "other.npz", "objects.npz", "m.txt", "missing.csv", "missing.npz"):
         with pytest.raises(FeatureError, match=name.replace(".", r"\.")):
             read_matches(tmp_path / name)
 
@@ -320,9 +303,7 @@ def test_pycolmap_maps_from_the_database(tmp_path, images):
 def test_databases_that_cannot_be(tmp_path, images):
     pair = make_pair(seed=4)
     good = ColmapPair(
-        image1=images[0],
-        image2=images[1],
-        estimate=estimate(pair.matches.x1, pair.matches.x2, pair.F, pair.right),
+        image1=images[0], image2=images[1], estimate=estimate(pair.matches.x1, pair.matches.x2, pair.F, pair.right)
     )
     with pytest.raises(OutputError, match="paired with itself"):
         write_colmap_database(tmp_path / "out.db", [replace(good, image2=images[0])])

@@ -5,13 +5,7 @@ from epiprior.matching.putative import PutativeMatches
 from epiprior.matching.standard import nearest_neighbours, standard_table
 from epiprior.presets import COHERENCE_COLUMNS, MATCH_COLUMNS, PAPER_TWO_KEYPOINT_COLUMNS
 from epiprior.ranking.frames import MatchFrames
-from epiprior.ranking.probabilities import (
-    _best_rival,
-    match_table,
-    pair_columns,
-    two_keypoint_scores,
-    unite,
-)
+from epiprior.ranking.probabilities import _best_rival, match_table, pair_columns, two_keypoint_scores, unite
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
 
 

@@ -6,11 +6,7 @@ from epiprior.matching.putative import PutativeMatches
 from epiprior.presets import COHERENCE_COLUMNS, PAPER_TWO_KEYPOINT_COLUMNS, TWO_KEYPOINT_COLUMNS
 from epiprior.ranking.frames import MatchFrames
 from epiprior.ranking.neighbourhoods import neighbourhoods
-from epiprior.ranking.two_keypoints import (
-    best_two_keypoint_matches,
-    describe_two_keypoint_matches,
-    match_two_keypoints,
-)
+from epiprior.ranking.two_keypoints import best_two_keypoint_matches, describe_two_keypoint_matches, match_two_keypoints
 from synthetic import random_scene
 
 
