@@ -17,7 +17,6 @@ from epiprior.types import Status
 from pictures import relief_pair, texture
 from synthetic import run, unit_rows
 
-
 SMALL_PAIR = relief_pair(320, 240)
 
 
@@ -85,11 +84,10 @@ def test_candidates_give_f():
 
 def test_columns_agree_with_the_standard_matches():
     standard, general = standard_matches(*SMALL_PAIR, max_distance_ratio=1.0), generalized_matches(*SMALL_PAIR)
-    ratios = dict(zip(zip(standard.feature1, standard.feature2, strict=True), standard.distance_ratio, strict=True))
     nearest = np.flatnonzero(general.distance_ratio < 1)
     assert len(nearest) > 50
-    for i in nearest:
-        assert general.distance_ratio[i] == ratios[general.feature1[i], general.feature2[i]]
+    pairs = set(zip(general.feature1[nearest], general.feature2[nearest], strict=True))
+    assert pairs <= set(zip(standard.feature1, standard.feature2, strict=True))
 
 
 def test_pictures_without_texture():
