@@ -220,7 +220,7 @@ def test_help_version_and_usage():
     for name in ("match", "estimate", "draw", "info", "colmap"):
         result = run(name, "--help")
         assert result.exit_code == 0
-        assert f"epiprior {name}" in result.stdout
+        assert f" {name} [OPTIONS]" in result.stdout
     assert run("--version").stdout.startswith("epiprior 0.")
     for wrong in (["a"], ["a", "b", "--seed", "-1"], ["a", "b", "--mode", "waterfall"]):
         assert run("estimate", *wrong).exit_code == 2

@@ -172,10 +172,14 @@ def test_no_texture_no_features(image):
 
 
 def test_twins_are_one_location():
-    xy = [[1.0, 2.0], [5.0, 5.0], [1.0, 2.0], [1.0, 2.0]]
-    scale, orientation_deg = [2.0, 1.0, 2.0, 3.0], [10.0, 0.0, 200.0, 0.0]
-    descriptors = np.ones((4, 128), np.float32)
-    first, location = unique_locations(Features(xy, scale, orientation_deg, descriptors, image_size=(10, 10)))
+    found = Features(
+        xy=np.array([[1.0, 2.0], [5.0, 5.0], [1.0, 2.0], [1.0, 2.0]]),
+        scale=np.array([2.0, 1.0, 2.0, 3.0]),
+        orientation_deg=np.array([10.0, 0.0, 200.0, 0.0]),
+        descriptors=np.ones((4, 128), np.float32),
+        image_size=(10, 10),
+    )
+    first, location = unique_locations(found)
     assert first.tolist() == [0, 1, 3]
     assert location.tolist() == [0, 1, 0, 2]
 
