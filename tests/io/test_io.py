@@ -14,7 +14,7 @@ from epiprior.io import ColmapPair, read_matches, write_colmap_database, write_m
 from epiprior.io.colmap import fundamental_for_colmap
 from epiprior.io.output import check_output, replacing
 from pictures import save, texture, turned_jpeg
-from synthetic import K, make_estimate, make_matches, make_pair, project, rotation, skew
+from synthetic import make_estimate, make_matches, make_pair, rotation, skew
 
 COLUMNS = [
     f for f in make_pair().matches.__dataclass_fields__ if f not in ("roll_deg", "rough_matrices", "image_sizes")
@@ -245,13 +245,11 @@ def test_pycolmap_maps_from_the_database(tmp_path, images):
     points = rng.uniform([-3, -2, -1.5], [3, 2, 1.5], (300, 3)) + np.array([0, 0, 12])
     turns = [rotation((0.0, 1.0, 0.0), degrees) for degrees in (-8.0, 0.0, 8.0)]
     poses = [(R, np.array([0, 0, 12.0]) - R @ [0, 0, 12.0]) for R in turns]
-    # Pixels at the focal length that COLMAP guesses for a width of 1024.
-    guessed = np.diag([1228.8 / K[0, 0], 1228.8 / K[0, 0], 1.0])
-    guessed[:2, 2] = [511.5, 383.5] - guessed[0, 0] * K[:2, 2]
-    views = [
-        project(points, *pose) @ guessed[:2, :2].T + guessed[:2, 2] + rng.normal(0, 0.2, (300, 2)) for pose in poses
-    ]
-    inverse = np.linalg.inv(guessed @ K)
+    # The focal length that COLMAP guesses for a width of 1024.
+    K = np.array([[1228.8, 0, 511.5], [0, 1228.8, 383.5], [0, 0, 1]])
+    projected = [(points @ R.T + t) @ K.T for R, t in poses]
+    views = [x[:, :2] / x[:, 2:] + rng.normal(0, 0.2, (300, 2)) for x in projected]
+    inverse = np.linalg.inv(K)
     pairs = []
     for i, j in ((0, 1), (1, 2), (0, 2)):
         R = poses[j][0] @ poses[i][0].T
