@@ -41,3 +41,11 @@ def rotated(image, angle_deg):
     A = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), -angle_deg, 1.0)
     A[:, 2] += ((side - 1) / 2 - (w - 1) / 2, (side - 1) / 2 - (h - 1) / 2)
     return cv2.warpAffine(image, A, (side, side), flags=cv2.INTER_CUBIC, borderValue=128), A
+
+
+def turned_jpeg(path: Path) -> Path:
+    """Write a picture of 64 x 48 pixels that its EXIF orientation turns by a quarter."""
+    data = cv2.imencode(".jpg", texture(64, 48))[1].tobytes()
+    exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+    path.write_bytes(data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:])
+    return path

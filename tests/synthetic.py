@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,7 +12,9 @@ from epiprior.estimators import EstimatorSettings
 from epiprior.estimators.handover import HandOver
 from epiprior.estimators.run import estimate_from_matches
 from epiprior.geometry import normalise_fundamental, sampson_distance
-from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, IntArray, MatchSet
+from epiprior.matching.putative import PutativeMatches
+from epiprior.ranking.frames import MatchFrames
+from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, IntArray, MatchSet, Status
 
 Scene = Literal["relief", "plane", "plane+", "rotation", "line"]
 
@@ -56,7 +59,7 @@ def scene_points(scene: Scene, n: int, rng: np.random.Generator, off_plane: int)
     """World points 8 to 12 units before both cameras."""
     X = rng.uniform([-4, -3, -2], [4, 3, 2], (n, 3))
     if scene in ("plane", "plane+"):
-        on = np.arange(n) >= (off_plane if scene == "plane+" else 0)
+        on = np.arange(n) >= off_plane
         X[on, 2] = 0.3 * X[on, 0] - 0.2 * X[on, 1]
         X[~on, 2] = rng.uniform(-3.0, -1.5, int((~on).sum()))
     if scene == "line":
@@ -68,20 +71,14 @@ def scene_points(scene: Scene, n: int, rng: np.random.Generator, off_plane: int)
 def make_matches(x1: FloatArray, x2: FloatArray, probability: FloatArray | None = None, **columns: object) -> MatchSet:
     """A MatchSet in the given order; every match has its own two features unless told otherwise."""
     n = len(x1)
-    values: dict[str, object] = {
-        "scale1": np.full(n, 3.0),
-        "scale2": np.full(n, 3.0),
-        "orientation1_deg": np.zeros(n),
-        "orientation2_deg": np.zeros(n),
-        "feature1": np.arange(n),
-        "feature2": np.arange(n),
-        "probability": np.full(n, np.nan) if probability is None else probability,
-        "supporting_matrices": np.zeros(n, np.int64),
-        "distance_ratio": np.linspace(0.5, 0.9, n),
-        "similarity_weight": np.zeros(n),
-        "similarity": np.full(n, 0.9),
-        "two_keypoint_probability": np.zeros(n),
-    }
+    zeros = np.zeros(n)
+    values: dict[str, object] = dict.fromkeys(("scale1", "scale2"), np.full(n, 3.0))
+    values |= dict.fromkeys(("orientation1_deg", "orientation2_deg"), zeros)
+    values |= dict.fromkeys(("feature1", "feature2"), np.arange(n))
+    values |= dict.fromkeys(("similarity_weight", "two_keypoint_probability"), zeros)
+    values |= {"similarity": np.full(n, 0.9), "distance_ratio": np.linspace(0.5, 0.9, n)}
+    values["supporting_matrices"] = np.zeros(n, np.int64)
+    values["probability"] = np.full(n, np.nan) if probability is None else probability
     return MatchSet(x1=np.asarray(x1, float), x2=np.asarray(x2, float), **(values | columns))  # type: ignore[arg-type]
 
 
@@ -103,15 +100,11 @@ def make_pair(
     """
     rng = np.random.default_rng(seed)
     R = rotation((0.1, 1.0, 0.05), 12.0)
-    centre = np.array([0.0, 0.0, 0.0]) if scene == "rotation" else np.array([2.2, 0.3, -0.4])
-    t = -R @ centre
-    X = scene_points(scene, 4 * inliers + 600, rng, 4 * off_plane if scene == "plane+" else 0)
-    head = 4 * off_plane if scene == "plane+" else 0
+    t = -R @ (np.zeros(3) if scene == "rotation" else np.array([2.2, 0.3, -0.4]))
+    off = off_plane if scene == "plane+" else 0
+    X = scene_points(scene, 4 * inliers + 600, rng, 4 * off)
     parts = []
-    for chunk, wanted in (
-        (X[:head], off_plane if head else 0),
-        (X[head:], inliers - (off_plane if head else 0)),
-    ):
+    for chunk, wanted in ((X[: 4 * off], off), (X[4 * off :], inliers - off)):
         p1, p2 = project(chunk, np.eye(3), np.zeros(3)), project(chunk, R, t)
         seen = ((p1 >= 0) & (p1 < [WIDTH, HEIGHT]) & (p2 >= 0) & (p2 < [WIDTH, HEIGHT])).all(axis=1)
         parts.append((p1[seen][:wanted], p2[seen][:wanted]))
@@ -128,13 +121,8 @@ def make_pair(
     F = normalise_fundamental(Ki.T @ skew(direction) @ R @ Ki)
     assert F is not None
     control = scene_points("relief", 400, np.random.default_rng(seed + 1), 0)
-    return SyntheticPair(
-        make_matches(y1[walk], y2[walk], 1 / (1 + np.exp(-logit[walk]))),
-        right[walk],
-        F,
-        project(control, np.eye(3), np.zeros(3)),
-        project(control, R, t),
-    )
+    matches = make_matches(y1[walk], y2[walk], 1 / (1 + np.exp(-logit[walk])))
+    return SyntheticPair(matches, right[walk], F, project(control, np.eye(3), np.zeros(3)), project(control, R, t))
 
 
 def run(
@@ -150,3 +138,48 @@ def random_scene(seed: int, n: int = 60, clusters: int = 8) -> tuple[FloatArray,
     xy = rng.uniform(0, 100, (n, 2))
     xy[5] = xy[6]
     return xy, rng.uniform(0.8, 4, n), rng.integers(0, clusters, n)
+
+
+def make_estimate(pair: SyntheticPair, status: Status = Status.OK, **changes: object) -> FundamentalEstimate:
+    """The estimate that knows the truth of a pair, or one without F."""
+    x1, x2, F = pair.matches.x1, pair.matches.x2, pair.F
+    if status is not Status.OK:
+        F, changes = None, {"inliers": np.zeros(len(x1), bool), "support": 0} | changes
+    known = {"status": status, "F": F, "x1": x1, "x2": x2, "inliers": pair.right, "support": int(pair.right.sum())}
+    about = {"estimator": "usac", "version": "opencv 5", "input": "default"}
+    return FundamentalEstimate(**(known | about | changes))  # type: ignore[arg-type]
+
+
+def make_frames(x1: FloatArray, x2: FloatArray, **columns: object) -> MatchFrames:
+    """The frames of matches; what is not given is 1, an angle 0."""
+    one = np.ones(len(x1))
+    values: dict[str, object] = dict.fromkeys(("scale1", "scale2", "similarity", "fixed_similarity"), one)
+    values |= {"orientation1_rad": 0 * one, "orientation2_rad": 0 * one, "roll_rad": 0.0}
+    return MatchFrames(x1=np.asarray(x1, float), x2=np.asarray(x2, float), **(values | columns))  # type: ignore[arg-type]
+
+
+def make_putative(pairs: Iterable[tuple[int, int]], n1: int, n2: int) -> PutativeMatches:
+    """Putative matches of pairs of features."""
+    rows = np.array(sorted(pairs), np.int64).reshape(-1, 2)
+    first, second = rows.T.copy()
+    counts = np.bincount(first, minlength=n1)
+    return PutativeMatches(first, second, np.append(0, np.cumsum(counts)), counts, np.bincount(second, minlength=n2))
+
+
+def unit_rows(rng: np.random.Generator, n: int, d: int) -> FloatArray:
+    """Random descriptors of length 1, float32 (n, d)."""
+    x = rng.normal(size=(n, d)).astype(np.float32)
+    return x / np.linalg.norm(x, axis=1, keepdims=True)
+
+
+def on_epipolar_lines(F: FloatArray, x1: FloatArray, seed: int = 0) -> FloatArray:
+    """Points of image 2 anywhere on the epipolar lines of points of image 1."""
+    line = np.column_stack([x1, np.ones(len(x1))]) @ F.T
+    u = np.random.default_rng(seed).uniform(0, WIDTH, len(x1))
+    return np.column_stack([u, -(line[:, 0] * u + line[:, 2]) / line[:, 1]])
+
+
+def same_matrix(A: FloatArray, B: FloatArray, tolerance: float = 1e-7) -> bool:
+    """Whether two matrices are one but for factor and sign."""
+    A, B = A / np.linalg.norm(A), B / np.linalg.norm(B)
+    return bool(min(np.abs(A - B).max(), np.abs(A + B).max()) < tolerance)

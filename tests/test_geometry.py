@@ -40,27 +40,15 @@ def test_a_weighted_fit_is_that_of_the_plain_way():
     assert eight_point(m.x1, m.x2, (np.arange(70) < 7) * 1.0) is None
 
 
-def slow(rows):
-    seen: set[bytes] = set()
-    first = []
-    for k, row in enumerate(rows):
-        if (key := (row + 0.0).tobytes()) not in seen:
-            seen.add(key)
-            first.append(k)
-    return first
-
-
-@pytest.mark.parametrize("columns", [1, 2, 4])
-@pytest.mark.parametrize("numbers", [3, 40, 10**9])
+@pytest.mark.parametrize(("columns", "numbers"), [(1, 3), (1, 40), (2, 3), (4, 10**9)])
 def test_first_of_equal_is_the_slow_way(columns, numbers):
     rng = np.random.default_rng(columns)
     for n in (0, 1, 2, 30, 500):
         rows = rng.integers(-numbers, numbers, (n, columns)) / 7.0
         rows[rng.random(n) < 0.2] = rows[:1]
-        assert first_of_equal(rows).tolist() == slow(rows)
-
-
-def test_the_sign_of_zero_makes_no_difference():
+        found = [tuple(row) for row in rows]
+        assert first_of_equal(rows).tolist() == [k for k in range(n) if found.index(found[k]) == k]
+    # The sign of zero makes no difference.
     assert first_of_equal(np.array([[0.0, 1.0], [-0.0, 1.0]])).tolist() == [0]
 
 
@@ -68,12 +56,10 @@ def rough_start(pair, seed: int):
     """An F from the right matches with 8 px of added noise: wrong by one to several pixels."""
     rng = np.random.default_rng(seed)
     x1, x2 = pair.matches.x1[pair.right], pair.matches.x2[pair.right]
-    F = eight_point(x1 + rng.normal(0, 8.0, x1.shape), x2 + rng.normal(0, 8.0, x2.shape))
-    assert F is not None
-    return F
+    return eight_point(x1 + rng.normal(0, 8.0, x1.shape), x2 + rng.normal(0, 8.0, x2.shape))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_rough_start_is_mended(seed):
     pair = make_pair(inliers=60, outliers=200, seed=seed)
     start = rough_start(pair, seed)
@@ -82,12 +68,11 @@ def test_a_rough_start_is_mended(seed):
     assert pair.error_px(refined) < 0.6
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_score_never_falls(seed):
     pair = make_pair(inliers=30, outliers=300, order=1.0, seed=seed)
     m = pair.matches
     wrong = normalise_fundamental(np.random.default_rng(seed).normal(size=(3, 3)))
-    assert wrong is not None
     for start in (rough_start(pair, seed), pair.F, wrong):
         refined = refine_fundamental(start, m.x1, m.x2, m.probability)
         before, after = (weighted_score(G, m.x1, m.x2, m.probability) for G in (start, refined))

@@ -5,20 +5,23 @@ from dataclasses import replace
 import pytest
 
 from epiprior.errors import SettingsError
-from epiprior.presets import DEFAULT, PAPER, FeatureSettings, find_preset
+from epiprior.presets import DEFAULT, PAPER, find_preset
 
 
-@pytest.mark.parametrize("bad", [{"detector": "magic"}, {"max_image_size": 3}, {"max_keypoints": 1}])
-def test_bad_settings_are_named(bad):
-    with pytest.raises(SettingsError, match=next(iter(bad))):
-        FeatureSettings(**bad)
-
-
-@pytest.mark.parametrize("bad", [{"vote_threshold": -1.0}, {"frame": "nothing"}, {"nearest": float("nan")}])
-def test_bad_numbers_of_the_method_are_named(bad):
-    ((name, value),) = bad.items()
+@pytest.mark.parametrize(
+    ("settings", "name", "value"),
+    [
+        (DEFAULT.features, "detector", "magic"),
+        (DEFAULT.features, "max_image_size", 3),
+        (DEFAULT.features, "max_keypoints", 1),
+        (DEFAULT, "vote_threshold", -1.0),
+        (DEFAULT, "frame", "nothing"),
+        (DEFAULT, "nearest", float("nan")),
+    ],
+)
+def test_bad_settings_are_named(settings, name, value):
     with pytest.raises(SettingsError, match=f"{name} is {value!r}"):
-        replace(DEFAULT, **bad)
+        replace(settings, **{name: value})
 
 
 def test_an_unknown_preset_is_named():

@@ -23,6 +23,7 @@ from pictures import relief_pair, texture
 from synthetic import make_pair
 from tiny_model import make_model
 
+LEFT, RIGHT = relief_pair(240, 180)
 KEEP_ALL = CascadeRule(min_plausibility=0.0)
 KEEP_NONE = CascadeRule(min_plausibility=1.0)
 
@@ -43,34 +44,34 @@ def test_two_pictures_without_preprocessing():
     assert {"standard matches", "estimator", "support"} <= set(estimate.seconds)
 
 
-def test_ranked_matches_are_used_and_their_seconds_kept(monkeypatch):
-    monkeypatch.setattr(two_view, "rank_matches", lambda *_, **__: pytest.fail("ranked a second time"))
+@pytest.fixture
+def ranking(monkeypatch):
+    """Stands in for `rank_matches`: notes what it is given, returns what the test puts in."""
+    state = {"calls": [], "matches": make_pair().matches}
+
+    def rank(image1, image2, **options):
+        state["calls"].append(options)
+        return ranked_of(state["matches"], state["matches"])
+
+    monkeypatch.setattr(two_view, "rank_matches", rank)
+    return state
+
+
+def test_ranked_matches_are_used_and_their_seconds_kept(ranking):
     pair, picture = make_pair(), texture()
     ranked = ranked_of(pair.matches, pair.matches.take(slice(7)))
     estimate = estimate_fundamental(picture, picture, ranked=ranked)
     assert pair.error_px(estimate.F) < 0.6
     assert estimate.seconds["votes"] == 0.5
     assert estimate_fundamental(picture, picture, ranked=ranked, mode="standard").status is Status.TOO_FEW_MATCHES
+    assert ranking["calls"] == []
 
 
-def test_images_are_ranked_with_the_preset(monkeypatch):
-    pair, asked = make_pair(), []
-
-    def rank(image1, image2, *, settings, **features):
-        asked.append(settings.name)
-        return ranked_of(pair.matches, pair.matches)
-
-    monkeypatch.setattr(two_view, "rank_matches", rank)
+def test_images_are_ranked_with_the_preset(ranking):
     estimate = estimate_fundamental(texture(), texture(), preset="paper", estimator="prosac", threshold_px=2.5)
-    assert asked == ["paper"]
+    assert [call["settings"].name for call in ranking["calls"]] == ["paper"]
     assert estimate.estimator == "prosac"
     assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 2.5)
-
-
-def test_unknown_estimator_fails_before_any_work(monkeypatch):
-    monkeypatch.setattr(two_view, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
-    with pytest.raises(EstimatorError, match="'usak'"):
-        estimate_fundamental(texture(), texture(), estimator="usak")
 
 
 def test_identical_images_and_black_images():
@@ -85,36 +86,23 @@ def test_identical_images_and_black_images():
 @pytest.mark.parametrize(
     ("options", "named"),
     [
+        ({"estimator": "usak"}, "'usak'"),
         ({"mode": "waterfall"}, "mode is 'waterfall', known: preprocess, standard, cascade"),
         ({"mode": "cascade", "hand_over": HandOver()}, "hand_over is for one input"),
         ({"rule": KEEP_ALL}, "rule is of the cascade, but mode is 'preprocess'"),
         ({"rule": KEEP_ALL, "mode": "standard"}, "rule is of the cascade, but mode is 'standard'"),
     ],
 )
-def test_options_that_contradict_each_other_are_refused(monkeypatch, options, named):
-    monkeypatch.setattr(two_view, "rank_matches", lambda *_, **__: pytest.fail("work was done"))
-    with pytest.raises(SettingsError, match=named):
+def test_options_that_are_unknown_or_contradict_each_other_are_refused_before_any_work(ranking, options, named):
+    with pytest.raises((EstimatorError, SettingsError), match=named):
         estimate_fundamental(texture(), texture(), **options)
-
-
-@pytest.fixture
-def ranking(monkeypatch):
-    """Stands in for `rank_matches`: notes what it is given, returns what the test puts in."""
-    state = {"calls": [], "matches": make_pair().matches}
-
-    def rank(image1, image2, **options):
-        state["calls"].append(options)
-        return ranked_of(state["matches"], state["matches"])
-
-    monkeypatch.setattr(two_view, "rank_matches", rank)
-    return state
+    assert ranking["calls"] == []
 
 
 def test_a_kept_estimate_is_the_one_on_standard_matches(ranking):
-    left, right = relief_pair(240, 180)
-    kept = estimate_fundamental(left, right, mode="cascade", rule=KEEP_ALL)
+    kept = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_ALL)
     assert ranking["calls"] == []
-    standard = estimate_fundamental(left, right, mode="standard")
+    standard = estimate_fundamental(LEFT, RIGHT, mode="standard")
     assert kept.F.tobytes() == standard.F.tobytes()
     assert kept.input == "standard"
     assert set(kept.seconds) == set(standard.seconds)
@@ -129,8 +117,7 @@ def test_what_is_not_kept_is_ranked_from_the_same_features(ranking, monkeypatch,
         return detect_features(photograph, settings)
 
     monkeypatch.setattr("epiprior.matching.pair.detect_features", detect)
-    left, right = relief_pair(240, 180)
-    estimate = estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE, preset=preset)
+    estimate = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE, preset=preset)
     assert len(detected) == 2
     (call,) = ranking["calls"]
     assert call["settings"] == find_preset(preset)
@@ -145,9 +132,8 @@ def test_what_is_not_kept_is_ranked_from_the_same_features(ranking, monkeypatch,
 def test_shared_features_change_no_bit(tmp_path, monkeypatch):
     model = load_model(make_model(tmp_path / "default"))
     monkeypatch.setattr(rank, "load_model", lambda name: model)
-    left, right = relief_pair(240, 180)
-    twice = estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE)
-    once = estimate_fundamental(left, right)
+    twice = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE)
+    once = estimate_fundamental(LEFT, RIGHT)
     assert twice.status is Status.OK
     assert twice.F.tobytes() == once.F.tobytes()
     assert np.array_equal(twice.inliers, once.inliers)
@@ -155,8 +141,7 @@ def test_shared_features_change_no_bit(tmp_path, monkeypatch):
 
 def test_settings_of_the_features_are_of_both_inputs(ranking):
     fewer = replace(DEFAULT, features=FeatureSettings(max_keypoints=60, max_image_size=200))
-    left, right = relief_pair(240, 180)
-    estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE, settings=fewer)
+    estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE, settings=fewer)
     (call,) = ranking["calls"]
     assert call["settings"] is fewer
     assert 30 < len(call["features1"]) <= 70
@@ -166,10 +151,9 @@ def test_settings_of_the_features_are_of_both_inputs(ranking):
 def test_features_of_the_callers_own_are_used_on_both_inputs(ranking, monkeypatch, estimator):
     monkeypatch.setattr("epiprior.matching.pair.detect_features", lambda *_: pytest.fail("features were detected"))
     ranking["matches"] = replace(ranking["matches"], image_sizes=((1024, 768), (1024, 768)))
-    pictures = relief_pair(240, 180)
-    own = [detect_features(load_photograph(picture)) for picture in pictures]
+    own = [detect_features(load_photograph(picture)) for picture in (LEFT, RIGHT)]
     options = {"estimator": estimator, "features1": own[0], "features2": own[1]}
-    with_images = estimate_fundamental(*pictures, mode="standard", **options)
+    with_images = estimate_fundamental(LEFT, RIGHT, mode="standard", **options)
     assert with_images.status is Status.OK
     without = estimate_fundamental(None, None, mode="standard", **options)
     assert without.F.tobytes() == with_images.F.tobytes()
@@ -189,8 +173,7 @@ def test_without_image_or_size_a_threshold_has_no_meaning(ranking):
 
 def test_a_poor_estimate_is_better_than_none(ranking):
     ranking["matches"] = make_pair(inliers=7, outliers=0).matches
-    left, right = relief_pair(240, 180)
-    estimate = estimate_fundamental(left, right, mode="cascade", rule=KEEP_NONE)
+    estimate = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE)
     assert len(ranking["calls"]) == 1
     assert estimate.status is Status.OK
     assert estimate.input == "standard"
@@ -215,31 +198,27 @@ def test_a_cascade_uses_what_was_ranked_before(ranking):
 
 
 def test_generalized_ransac_has_an_input_of_its_own(ranking):
-    left, right = relief_pair(240, 180)
-    estimate = estimate_fundamental(left, right, estimator="generalized-ransac", mode="standard")
+    estimate = estimate_fundamental(LEFT, RIGHT, estimator="generalized-ransac", mode="standard")
     assert (estimate.status, estimate.input) == (Status.OK, "generalized")
     assert {"generalized matches", "estimator"} <= set(estimate.seconds)
-    second = estimate_fundamental(left, right, estimator="generalized-ransac", mode="cascade", rule=KEEP_NONE)
+    second = estimate_fundamental(LEFT, RIGHT, estimator="generalized-ransac", mode="cascade", rule=KEEP_NONE)
     assert second.input == "default"
     assert ranking["calls"] == [{"settings": DEFAULT, "features1": None, "features2": None}]
 
 
 def test_a_threshold_is_for_both_inputs(ranking):
-    left, right = relief_pair(240, 180)
     for rule in (KEEP_ALL, KEEP_NONE):
-        estimate = estimate_fundamental(left, right, mode="cascade", rule=rule, threshold_px=0.8)
+        estimate = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=rule, threshold_px=0.8)
         assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.8)
 
 
 @pytest.mark.parametrize(("rule", "taken"), [(KEEP_ALL, "standard"), (KEEP_NONE, "default")])
 def test_the_rule_of_the_models_is_used(ranking, monkeypatch, rule, taken):
     monkeypatch.setattr(two_view, "load_cascade_rule", lambda: rule)
-    left, right = relief_pair(240, 180)
-    assert estimate_fundamental(left, right, mode="cascade").input == taken
+    assert estimate_fundamental(LEFT, RIGHT, mode="cascade").input == taken
 
 
 def test_spread_and_plausibility_are_known_of_photographs(ranking):
-    left, right = relief_pair(240, 180)
-    found = estimate_fundamental(left, right, mode="standard")
+    found = estimate_fundamental(LEFT, RIGHT, mode="standard")
     assert 0 < found.spread <= 5 * 4  # so many cells of 48 pixels the images have
     assert found.plausibility == camera_plausibility(found.raw_F[None], ((240, 180), (240, 180)))[0]

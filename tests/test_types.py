@@ -22,12 +22,7 @@ from epiprior.types import Features
     ],
 )
 def test_bad_features_are_named(field, value, message):
-    good = {
-        "xy": np.ones((2, 2)),
-        "scale": np.ones(2),
-        "orientation_deg": np.zeros(2),
-        "descriptors": np.ones((2, 128), np.float32),
-        "image_size": (10, 10),
-    }
+    good = {"xy": np.ones((2, 2)), "scale": np.ones(2), "orientation_deg": np.zeros(2), "image_size": (10, 10)}
+    good["descriptors"] = np.ones((2, 128), np.float32)
     with pytest.raises(FeatureError, match=message):
         Features(**{**good, field: value})

@@ -6,29 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from epiprior import FundamentalEstimate, ImageError, OutputError, SettingsError, Status
+from epiprior import ImageError, OutputError, SettingsError, Status
 from epiprior.draw.captions import draw_header, probability_colours
 from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
 from pictures import save, texture
-from synthetic import make_matches, make_pair
+from synthetic import make_estimate, make_matches, make_pair
 
 BLACK = np.zeros((768, 1024), np.uint8)
-
-
-def estimate_of(pair, status=Status.OK, message=""):
-    ok = status is Status.OK
-    inliers = pair.right if ok else np.zeros(len(pair.right), bool)
-    return FundamentalEstimate(
-        status=status,
-        F=pair.F if ok else None,
-        x1=pair.matches.x1,
-        x2=pair.matches.x2,
-        inliers=inliers,
-        support=int(inliers.sum()),
-        estimator="usac",
-        version="opencv 5",
-        message=message,
-    )
+ONE_MATCH = make_matches([[1.0, 1.0]], [[1.0, 1.0]], np.array([0.5]))
 
 
 def coloured(picture):
@@ -38,8 +23,8 @@ def coloured(picture):
 
 def test_epipolar_row_only_with_a_matrix():
     pair = make_pair(seed=1)
-    with_lines = draw_matches(BLACK, BLACK, pair.matches, estimate_of(pair))
-    without = draw_matches(BLACK, BLACK, pair.matches, estimate_of(pair, Status.NO_MODEL, "nothing fits"))
+    with_lines = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair))
+    without = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair, Status.NO_MODEL, message="nothing fits"))
     plain = draw_matches(BLACK, BLACK, pair.matches)
     assert with_lines.dtype == np.uint8
     assert with_lines.shape[1:] == (2 * 1024 + 8, 3)
@@ -72,7 +57,7 @@ def test_best_matches_only_and_one_per_feature():
 
 def test_epipolar_lines_pass_through_their_points():
     pair = make_pair(noise_px=0.0, outliers=0, seed=3)
-    picture = draw_matches(BLACK, BLACK, pair.matches, estimate_of(pair), settings=DrawSettings(epipolar_lines=1))
+    picture = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair), settings=DrawSettings(epipolar_lines=1))
     row = picture[-768:]
     x1, x2 = pair.matches.x1[0], pair.matches.x2[0]
     for left, F, here, there in ((0, pair.F.T, x1, x2), (1032, pair.F, x2, x1)):
@@ -88,12 +73,7 @@ def test_epipolar_lines_pass_through_their_points():
 
 @pytest.mark.parametrize(
     ("shape1", "shape2"),
-    [
-        ((10, 10), (768, 1024, 3)),
-        ((3000, 4000), (480, 640)),
-        ((900, 300), (300, 900)),
-        ((8, 2000), (2000, 8)),
-    ],
+    [((10, 10), (768, 1024, 3)), ((3000, 4000), (480, 640)), ((900, 300), (300, 900)), ((8, 2000), (2000, 8))],
 )
 def test_any_sizes_fit(shape1, shape2):
     images = [np.full(shape, 90, np.uint8) for shape in (shape1, shape2)]
@@ -105,24 +85,25 @@ def test_any_sizes_fit(shape1, shape2):
     assert coloured(picture[120:]).any()
 
 
+LARGE = np.zeros((1536, 2048), np.uint8)
+
+
 def test_large_images_are_scaled_with_their_points():
-    large = np.zeros((1536, 2048), np.uint8)
     small = draw_matches(BLACK, BLACK, make_matches([[100.0, 200.0]], [[300.0, 500.0]], np.array([0.9])))
-    twice = draw_matches(large, large, make_matches([[200.5, 400.5]], [[600.5, 1000.5]], np.array([0.9])))
+    twice = draw_matches(LARGE, LARGE, make_matches([[200.5, 400.5]], [[600.5, 1000.5]], np.array([0.9])))
     np.testing.assert_array_equal(small, twice)
 
 
 def test_large_images_are_scaled_with_their_lines():
     pair = make_pair(seed=3)
-    found = estimate_of(pair)
+    found = make_estimate(pair)
     D = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
     F = np.linalg.inv(D).T @ pair.F @ np.linalg.inv(D)
     twice = replace(found, F=F, x1=2 * found.x1 + 0.5, x2=2 * found.x2 + 0.5)
-    large = np.zeros((1536, 2048), np.uint8)
     none = pair.matches.take(slice(0, 0))
     small = draw_matches(BLACK, BLACK, none, found).astype(int)
     # Up to rounding to a sixteenth of a pixel.
-    assert np.abs(small - draw_matches(large, large, none, twice)).max() < 40
+    assert np.abs(small - draw_matches(LARGE, LARGE, none, twice)).max() < 40
 
 
 def test_no_matches_and_points_outside():
@@ -133,12 +114,8 @@ def test_no_matches_and_points_outside():
 
 
 def test_standard_matches_are_coloured_by_distance_ratio():
-    matches = make_matches(np.full((2, 2), 50.0), np.full((2, 2), 50.0))
-    matches = replace(matches, distance_ratio=np.array([0.2, 0.9]))
-    picture = draw_matches(BLACK, BLACK, matches.take(slice(0, 1)))
-    np.testing.assert_allclose(
-        picture[picture.shape[0] - 768 + 50, 50], probability_colours(np.array([0.8]))[0], atol=2
-    )
+    picture = draw_matches(BLACK, BLACK, make_matches([[50.0, 50.0]], [[50.0, 50.0]], distance_ratio=np.array([0.2])))
+    np.testing.assert_allclose(picture[-768 + 50, 50], probability_colours(np.array([0.8]))[0], atol=2)
 
 
 def test_a_file_and_its_array_give_the_same_figure(tmp_path):
@@ -150,8 +127,10 @@ def test_a_file_and_its_array_give_the_same_figure(tmp_path):
 
 def test_long_messages_stay_left_of_the_colour_scale():
     pair = make_pair(seed=1)
-    short = draw_header(968, estimate_of(pair, Status.NO_MODEL), 5, "probability")
-    long = draw_header(968, estimate_of(pair, Status.NO_MODEL, "word " * 60), 5, "probability")
+    short, long = (
+        draw_header(968, make_estimate(pair, Status.NO_MODEL, message=text), 5, "probability")
+        for text in ("", "word " * 60)
+    )
     np.testing.assert_array_equal(short[:, 700:], long[:, 700:])
     assert (short != long).any()
 
@@ -164,19 +143,12 @@ def test_long_messages_stay_left_of_the_colour_scale():
         (np.zeros((0, 5), np.uint8), r"\(0, 5\)"),
         (np.zeros(5, np.uint8), r"\(5,\)"),
         ("nowhere/at_all.jpg", "at_all.jpg"),
+        (__file__, r"test_draw\.py"),
     ],
 )
 def test_unusable_images(image, words):
     with pytest.raises(ImageError, match=words):
-        draw_matches(BLACK, image, make_matches([[1.0, 1.0]], [[1.0, 1.0]], np.array([0.5])))
-
-
-def test_a_text_file_is_no_image(tmp_path):
-    path = tmp_path / "text.jpg"
-    for content in ("not a picture", ""):
-        path.write_text(content)
-        with pytest.raises(ImageError, match=r"text\.jpg"):
-            draw_matches(path, BLACK, make_matches([[1.0, 1.0]], [[1.0, 1.0]], np.array([0.5])))
+        draw_matches(BLACK, image, ONE_MATCH)
 
 
 @pytest.mark.parametrize("wrong", [{"max_matches": 0}, {"epipolar_lines": 9}, {"max_panel_size": 100}])

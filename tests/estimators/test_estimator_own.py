@@ -9,32 +9,34 @@ import pytest
 
 from epiprior.estimators import EstimatorSettings, RawModel, find_estimator, fit, ratio_prior
 from epiprior.estimators.own import Recipe, search, similarity_prior
-from epiprior.geometry import normalise_fundamental
+from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior.kernels.scores import KERNEL, LIKELIHOOD, SUPPORT
-from epiprior.types import MatchSet
+from epiprior.types import MatchSet, Status
 from synthetic import HEIGHT, Scene, SyntheticPair, make_matches, make_pair
 
 OWN = ("guided-mlesac", "beem", "blogs", "generalized-ransac")
 
 
-def with_frames(pair: SyntheticPair, turn_deg: float = 0.0, seed: int = 0) -> MatchSet:
-    """Give right matches scales and orientations that agree, as a detector would; image 2 may be turned."""
-    rng = np.random.default_rng(seed)
+SEARCH = {"threshold_px": 1.5, "confidence": 0.99, "seed": 0}
+
+
+def quarter_turn(x):
+    return np.column_stack([HEIGHT - 1 - x[:, 1], x[:, 0]])
+
+
+def with_frames(pair: SyntheticPair, turn_deg: int) -> MatchSet:
+    """Give right matches scales and orientations that agree, as a detector would; image 2 turns by 0 or 90 degrees."""
+    rng = np.random.default_rng(0)
     n = len(pair.matches)
     scale, angle = rng.uniform(2, 8, n), rng.uniform(0, 360, n)
     scale2 = np.where(pair.right, scale * np.exp(rng.normal(0, 0.08, n)), rng.uniform(2, 8, n))
     angle2 = np.where(pair.right, angle + rng.normal(0, 4, n), rng.uniform(0, 360, n))
-    x2 = pair.matches.x2
-    if turn_deg:
-        assert turn_deg == 90
-        x2 = np.column_stack([HEIGHT - 1 - x2[:, 1], x2[:, 0]])
+    x2 = quarter_turn(pair.matches.x2) if turn_deg else pair.matches.x2
     columns = {"scale1": scale, "scale2": scale2, "orientation1_deg": angle}
     return replace(pair.matches, x2=x2, orientation2_deg=np.mod(angle2 + turn_deg, 360), **columns)
 
 
 def inliers_found(F, matches, right) -> float:
-    from epiprior.geometry import sampson_distance
-
     return float((sampson_distance(F, matches.x1, matches.x2) < 2)[right].mean())
 
 
@@ -43,18 +45,8 @@ def test_two_oriented_matches_find_what_seven_do_not(turn_deg):
     """Ten per cent inliers and no prior: the chance is 1/100 for two matches, 1/10,000,000 for seven."""
     pair = make_pair(inliers=60, outliers=540, seed=1)
     matches = with_frames(pair, turn_deg)
-    oriented, seven = (
-        search(
-            matches,
-            np.full(600, 0.1),
-            Recipe(kind=SUPPORT, oriented=share, raw_factor=3.0),
-            threshold_px=1.5,
-            confidence=0.99,
-            max_iterations=5_000,
-            seed=0,
-        )
-        for share in (1.0, 0.0)
-    )
+    recipes = (Recipe(kind=SUPPORT, oriented=share, raw_factor=3.0) for share in (1.0, 0.0))
+    oriented, seven = (search(matches, np.full(600, 0.1), how, max_iterations=5_000, **SEARCH) for how in recipes)
     assert inliers_found(oriented.F, matches, pair.right) > 0.8
     assert inliers_found(seven.F, matches, pair.right) < 0.7
 
@@ -66,15 +58,7 @@ def test_supporters_joined_with_others_lead_off_a_plane():
         for seed in range(10):
             pair = make_pair(scene="plane+", inliers=200, outliers=600, off_plane=30, order=0.5, seed=seed)
             recipe = Recipe(kind=SUPPORT, local=1, local_share=0.5, mixed_share=share, min_iterations=1_500)
-            raw = search(
-                pair.matches,
-                np.full(800, 0.5),
-                recipe,
-                threshold_px=1.5,
-                confidence=0.99,
-                max_iterations=1_500,
-                seed=0,
-            )
+            raw = search(pair.matches, np.full(800, 0.5), recipe, max_iterations=1_500, **SEARCH)
             close += pair.error_px(raw.F) < 3
         found.append(close)
     assert found[1] > found[0]
@@ -90,14 +74,10 @@ def test_beem_finds_f_beside_a_plane():
     assert close >= 9
 
 
-def without_and_with_skipped_planes(scene: Scene, outliers: int) -> list[RawModel]:
-    matches = make_pair(scene=scene, inliers=150, outliers=outliers, noise_px=0.1, seed=2).matches
-    prior = np.ones(len(matches))
+def without_and_with_skipped_planes(scene: Scene) -> list[RawModel]:
+    matches = make_pair(scene=scene, inliers=150, outliers=0, noise_px=0.1, seed=2).matches
     recipes = [Recipe(kind=KERNEL, skip_planes=skip) for skip in (False, True)]
-    return [
-        search(matches, prior, recipe, threshold_px=1.5, confidence=0.99, max_iterations=300, seed=0)
-        for recipe in recipes
-    ]
+    return [search(matches, np.ones(150), recipe, max_iterations=300, **SEARCH) for recipe in recipes]
 
 
 def test_samples_of_one_plane_are_ruled_out():
@@ -106,11 +86,9 @@ def test_samples_of_one_plane_are_ruled_out():
     Then the best sample alone is optimised, where otherwise each is that beats those before it: another F. Where no
     sample lies on one plane, ruling out changes nothing.
     """
-    kept, ruled_out = without_and_with_skipped_planes("plane", outliers=0)
-    assert kept.F is not None
-    assert ruled_out.F is not None
+    kept, ruled_out = without_and_with_skipped_planes("plane")
     assert not np.allclose(normalise_fundamental(kept.F), normalise_fundamental(ruled_out.F), atol=1e-6)
-    kept, ruled_out = without_and_with_skipped_planes("relief", outliers=0)
+    kept, ruled_out = without_and_with_skipped_planes("relief")
     assert kept.F is not None
     assert np.array_equal(kept.F, ruled_out.F)
 
@@ -125,47 +103,42 @@ def test_the_cap_is_kept(name):
 
 @pytest.mark.parametrize("name", ["guided-mlesac", "beem", "generalized-ransac"])
 def test_easy_pairs_end_early(name):
-    easy = make_pair(inliers=200, outliers=20).matches
-    assert fit(name, easy).iterations < 500
+    assert fit(name, make_pair(inliers=200, outliers=20).matches).iterations < 500
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_standard_matches_without_probabilities(name):
+def test_distance_ratios_stand_in_for_probabilities(name):
     pair = make_pair(inliers=150, outliers=150)
     ratio = np.where(pair.right, 0.6, 0.88) + np.random.default_rng(0).normal(0, 0.05, 300)
     matches = replace(pair.matches, probability=np.full(300, np.nan), distance_ratio=np.clip(ratio, 0, 0.9))
     assert pair.error_px(fit(name, matches).F) < 1
 
 
-def test_everything_improbable_is_no_error():
-    pair = make_pair(inliers=100, outliers=20)
-    for name in OWN:
-        matches = replace(pair.matches, probability=np.zeros(120))
-        fit(name, matches)
+@pytest.mark.parametrize("name", OWN)
+def test_everything_improbable_is_no_error_and_changes_no_f(name):
+    """Twice as many matches of another motion, all of probability 0, lead F nowhere; alone they raise nothing."""
+    pair, other = make_pair(inliers=100, outliers=20), make_pair(inliers=200, outliers=0, seed=1).matches
+    m = pair.matches
+    both = make_matches(
+        np.concatenate([m.x1, other.x1]),
+        np.concatenate([m.x2, quarter_turn(other.x2)]),
+        np.concatenate([m.probability, np.zeros(200)]),
+    )
+    assert pair.error_px(fit(name, both).F) < 0.6
+    assert fit(name, replace(m, probability=np.zeros(120))).status in (Status.OK, Status.NO_MODEL)
 
 
 def test_the_likelihood_trusts_probable_matches():
     """Two motions: the more numerous one loses where its matches are improbable."""
     first, second = (make_pair(inliers=n, outliers=0, seed=s).matches for n, s in ((60, 0), (100, 1)))
-    turned = np.column_stack([HEIGHT - 1 - second.x2[:, 1], second.x2[:, 0]])
     matches = make_matches(
         np.concatenate([first.x1, second.x1]),
-        np.concatenate([first.x2, turned]),
+        np.concatenate([first.x2, quarter_turn(second.x2)]),
         np.concatenate([np.full(60, 0.9), np.full(100, 0.02)]),
     )
-    winners = {}
-    for kind in (SUPPORT, LIKELIHOOD):
-        raw = search(
-            matches,
-            matches.probability,
-            Recipe(kind=kind, min_iterations=3_000),
-            threshold_px=1.5,
-            confidence=0.99,
-            max_iterations=3_000,
-            seed=0,
-        )
-        winners[kind] = inliers_found(raw.F, matches, np.arange(160) < 60)
-    assert winners[LIKELIHOOD] > 0.9
+    recipe = Recipe(kind=LIKELIHOOD, min_iterations=3_000)
+    raw = search(matches, matches.probability, recipe, max_iterations=3_000, **SEARCH)
+    assert inliers_found(raw.F, matches, np.arange(160) < 60) > 0.9
 
 
 def test_blogs_prefers_probabilities_then_similarity_then_ratio():

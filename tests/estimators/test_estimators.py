@@ -12,16 +12,7 @@ import pytest
 
 import epiprior
 from epiprior.errors import EstimatorError, FeatureError, SettingsError
-from epiprior.estimators import (
-    EstimatorSettings,
-    RawModel,
-    fit,
-    licences,
-    list_estimators,
-    names,
-    opencv,
-    registry,
-)
+from epiprior.estimators import EstimatorSettings, RawModel, fit, licences, list_estimators, names, opencv, registry
 from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate, MatchSet, Status
 from synthetic import make_matches, make_pair, run
@@ -97,7 +88,7 @@ def test_five_percent_inliers_in_a_good_order(name):
 @pytest.mark.parametrize("name", IN_ORDER)
 def test_the_order_is_the_prior_that_is_used(name):
     pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
-    shuffled = pair.matches.take(np.random.default_rng(0).permutation(len(pair.matches)))
+    shuffled = pair.matches.take(np.random.default_rng(0).permutation(800))
     assert not pair.error_px(run(name, shuffled, settings=EstimatorSettings(max_iterations=2_000)).F) < 10
 
 
@@ -106,23 +97,37 @@ def test_the_probability_is_the_prior_that_is_used(name):
     """The order says nothing to these, equal probabilities are no help; nor are orientations at random."""
     pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
     rng = np.random.default_rng(0)
-    shuffled = pair.matches.take(rng.permutation(len(pair.matches)))
+    shuffled = pair.matches.take(rng.permutation(800))
     shuffled = replace(shuffled, orientation2_deg=rng.uniform(0, 360, len(shuffled)))
     assert pair.error_px(run(name, shuffled).F) < 2.0
     equal = replace(shuffled, probability=np.full(len(shuffled), 0.05))
     assert not pair.error_px(run(name, equal, settings=EstimatorSettings(max_iterations=1_000)).F) < 10
 
 
-@pytest.mark.parametrize("seed", range(3))
+UNDECIDED = (Status.DEGENERATE, Status.NO_MODEL)
+STILL = make_pair(inliers=100, outliers=0).matches.x1
+
+
+@pytest.mark.parametrize(
+    ("matches", "statuses"),
+    [
+        (make_pair(inliers=0, outliers=100).matches, (Status.NO_MODEL,)),
+        (make_pair(scene="line", inliers=100, outliers=0).matches, UNDECIDED),
+        (make_matches(STILL, STILL), UNDECIDED),
+        (make_pair(scene="plane", inliers=150, outliers=60, seed=2).matches, (Status.DEGENERATE,)),
+        (make_pair(scene="rotation", inliers=150, outliers=60, seed=2).matches, (Status.DEGENERATE,)),
+    ],
+    ids=["no inliers", "collinear points", "identical images", "plane", "rotation"],
+)
 @each_estimator
-def test_no_inliers(name, seed):
-    noise = make_pair(inliers=0, outliers=100, seed=seed).matches
-    estimate = run(name, noise)
-    assert_sound(estimate, noise)
-    assert estimate.status is Status.NO_MODEL
+def test_what_decides_nothing_is_told(name, matches, statuses):
+    estimate = run(name, matches)
+    assert_sound(estimate, matches)
+    assert estimate.status in statuses
+    assert "homography" in estimate.message or Status.NO_MODEL in statuses
 
 
-@pytest.mark.parametrize("n", [0, 1, 7])
+@pytest.mark.parametrize("n", [0, 7])
 @each_estimator
 def test_too_few_matches(name, n):
     matches = make_pair(inliers=20, outliers=0).matches.take(slice(n))
@@ -168,39 +173,13 @@ def test_repeated_matches_change_nothing_but_the_mask(name):
     assert estimate.support == 2 * once.support
 
 
-@each_estimator
-def test_collinear_points(name):
-    matches = make_pair(scene="line", inliers=100, outliers=0).matches
-    estimate = run(name, matches)
-    assert_sound(estimate, matches)
-    assert estimate.status in (Status.DEGENERATE, Status.NO_MODEL)
-
-
-@pytest.mark.parametrize("scene", ["plane", "rotation"])
-@each_estimator
-def test_plane_and_rotation(name, scene):
-    matches = make_pair(scene=scene, inliers=150, outliers=60, seed=2).matches
-    estimate = run(name, matches)
-    assert_sound(estimate, matches)
-    assert estimate.status is Status.DEGENERATE
-    assert "homography" in estimate.message
-
-
-@each_estimator
-def test_identical_images(name):
-    x = make_pair(inliers=100, outliers=0).matches.x1
-    estimate = run(name, make_matches(x, x))
-    assert estimate.status in (Status.DEGENERATE, Status.NO_MODEL)
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-@each_estimator
+@pytest.mark.parametrize("name", ["usac", "epiprior"])
 def test_nan_is_refused(name, value):
-    matches = make_pair(inliers=50, outliers=0).matches
-    x2 = matches.x2.copy()
+    x2 = STILL.copy()
     x2[17, 1] = value
     with pytest.raises(FeatureError, match=r"x2 .* row 17"):
-        run(name, make_matches(matches.x1, x2))
+        run(name, make_matches(STILL, x2))
 
 
 @each_estimator
@@ -248,23 +227,6 @@ def test_opencv_error_is_no_model(monkeypatch):
     assert run("usac", make_pair().matches).status is Status.NO_MODEL
 
 
-def test_opencv_none_with_a_garbage_mask_is_no_model(monkeypatch):
-    monkeypatch.setattr(cv2, "findFundamentalMat", lambda x1, *_: (None, np.full((len(x1), 1), 205, np.uint8)))
-    matches = make_pair().matches
-    estimate = run("magsac++", matches)
-    assert_sound(estimate, matches)
-    assert estimate.status is Status.NO_MODEL
-
-
-def test_pycolmap_none_is_no_model(monkeypatch):
-    pycolmap = pytest.importorskip("pycolmap")
-    monkeypatch.setattr(pycolmap, "estimate_fundamental_matrix", lambda *_: None)
-    matches = make_pair().matches
-    estimate = run("colmap", matches)
-    assert_sound(estimate, matches)
-    assert estimate.status is Status.NO_MODEL
-
-
 def backend_answers(monkeypatch, name, F):
     """Let the backend of an estimator return `F`, beside a mask that is garbage."""
     garbage = np.full((300, 1), 205, np.uint8)
@@ -279,7 +241,7 @@ def backend_answers(monkeypatch, name, F):
         monkeypatch.setattr(pydegensac, "findFundamentalMatrix", lambda *_, **__: (F, garbage))
     elif name == "colmap":
         pycolmap = pytest.importorskip("pycolmap")
-        answer = {"F": F, "inlier_mask": garbage}
+        answer = None if F is None else {"F": F, "inlier_mask": garbage}
         monkeypatch.setattr(pycolmap, "estimate_fundamental_matrix", lambda *_: answer)
     else:
         backend = SimpleNamespace(**{k: getattr(registry.find_estimator(name), k) for k in ("name", "max_iterations")})
@@ -288,18 +250,15 @@ def backend_answers(monkeypatch, name, F):
         monkeypatch.setitem(registry._REGISTRY, name, backend)
 
 
-@pytest.mark.parametrize(
-    "F",
-    [np.full((3, 3), np.nan), np.zeros((3, 3)), np.ones((9, 3))],
-    ids=["nan", "zero", "stack"],
-)
 @each_estimator
-def test_no_matrix_of_any_backend_is_taken_for_a_model(monkeypatch, name, F):
-    backend_answers(monkeypatch, name, F)
+def test_no_matrix_of_any_backend_is_taken_for_a_model(monkeypatch, name):
     matches = make_pair().matches
-    estimate = run(name, matches)
-    assert_sound(estimate, matches)
-    assert estimate.status is Status.NO_MODEL
+    nothing = [None] if name in ("usac", "magsac++", "gc-ransac", "colmap") else []
+    for F in (np.full((3, 3), np.nan), np.zeros((3, 3)), np.ones((9, 3)), *nothing):
+        backend_answers(monkeypatch, name, F)
+        estimate = run(name, matches)
+        assert_sound(estimate, matches)
+        assert estimate.status is Status.NO_MODEL
 
 
 @each_estimator
@@ -314,13 +273,7 @@ def test_the_mask_of_no_backend_is_looked_at(monkeypatch, name):
 
 @pytest.mark.parametrize(
     "F",
-    [
-        np.full((3, 3), np.nan),
-        np.zeros((3, 3)),
-        np.ones((9, 3)),
-        np.diag([1.0, 0.0, 0.0]),
-        np.diag([1, 1, np.inf]),
-    ],
+    [np.full((3, 3), np.nan), np.zeros((3, 3)), np.ones((9, 3)), np.diag([1.0, 0.0, 0.0]), np.diag([1, 1, np.inf])],
     ids=["nan", "zero", "stack", "rank 1", "infinite"],
 )
 def test_a_matrix_that_is_none_is_no_model(monkeypatch, F):

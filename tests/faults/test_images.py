@@ -27,6 +27,10 @@ def encode(path, pixels):
     return path
 
 
+def png_chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
 @pytest.mark.parametrize("name", [b"caf\xe9 1 of 4.png", "Bild \u00fc.png".encode(), b"a,b\t;'c.png"])
 def test_any_file_name_can_be_read(tmp_path, name):
     path = tmp_path / name.decode(errors="surrogateescape")
@@ -75,12 +79,9 @@ def test_a_damaged_picture_is_read_and_a_warning_names_it(tmp_path, caplog, capf
 
 
 def test_a_size_limit_is_named_and_how_to_raise_it(tmp_path):
-    def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
     header = struct.pack(">IIBBBBB", 40_000, 30_000, 8, 0, 0, 0, 0)
     path = tmp_path / "large.png"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + png_chunk(b"IHDR", header) + png_chunk(b"IDAT", zlib.compress(b"")))
     with pytest.raises(ImageError, match=r"large\.png.* 1073741824 pixels.*OPENCV_IO_MAX_IMAGE_PIXELS"):
         load_photograph(path)
 
@@ -105,9 +106,8 @@ def test_transparent_pixels_have_no_features(tmp_path, form, size):
 def test_the_alpha_channel_is_turned_with_the_image(tmp_path, orientation):
     data = encode(tmp_path / "a.png", np.dstack([PICTURE] * 3 + [np.where(PICTURE > 128, 255, 0)])).read_bytes()
     exif = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0" + bytes([orientation]) + b"\0\0\0\0\0\0"
-    chunk = struct.pack(">I", len(exif)) + b"eXIf" + exif + struct.pack(">I", zlib.crc32(b"eXIf" + exif))
     path = tmp_path / "turned.png"
-    path.write_bytes(data[:33] + chunk + data[33:])
+    path.write_bytes(data[:33] + png_chunk(b"eXIf", exif) + data[33:])
     photograph = load_photograph(path)
     turned = read_image(path, cv2.IMREAD_GRAYSCALE)
     assert turned.shape == ((180, 240) if orientation < 5 else (240, 180))

@@ -1,3 +1,7 @@
+"""Features: found, described at an orientation, and the images they are found in."""
+
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -12,34 +16,20 @@ from epiprior.matching.roll import expected_roll, orientation_differences
 from epiprior.matching.standard import nearest_neighbours
 from epiprior.presets import DETECTORS, FeatureSettings
 from epiprior.types import Features
-from pictures import rotated
+from pictures import rotated, save, texture
 
-
-def textured(seed=0, size=(240, 320)):
-    rng = np.random.default_rng(seed)
-    image = np.zeros(size, np.float32)
-    for k in (2, 4, 8, 16, 32):
-        noise = rng.normal(size=(size[0] // k + 1, size[1] // k + 1)).astype(np.float32)
-        image += cv2.resize(noise, size[::-1], interpolation=cv2.INTER_CUBIC) * k
-    low, high = image.min(), image.max()
-    return (255 * (image - low) / (high - low)).astype(np.uint8)
+SIZE = (320, 240)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 37.0, 90.0])
 def test_fixed_orientation_turns_with_the_image(angle_deg):
-    image = textured()
+    image = texture(*SIZE)
     turned, A = rotated(image, angle_deg)
     photo, photo_turned = load_photograph(image), load_photograph(turned)
     found = detect_features(photo)
     inside = np.flatnonzero(((found.xy > 40) & (found.xy < [280, 200])).all(axis=1) & (found.scale < 4))
     found = found.take(inside)
-    moved = Features(
-        xy=found.xy @ A[:, :2].T + A[:, 2],
-        scale=found.scale,
-        orientation_deg=found.orientation_deg,
-        descriptors=found.descriptors,
-        image_size=photo_turned.size,
-    )
+    moved = replace(found, xy=found.xy @ A[:, :2].T + A[:, 2], image_size=photo_turned.size)
     one = normalise_descriptors(describe_at_orientation(photo, found, 0.0), root=False, centred=True)
     similarity = {}
     for sign in (1, -1):
@@ -52,7 +42,7 @@ def test_fixed_orientation_turns_with_the_image(angle_deg):
 
 
 def test_a_photograph_is_described_once_per_orientation(monkeypatch):
-    image = textured()
+    image = texture(*SIZE)
     found = detect_features(load_photograph(image))
     few = found.take(np.arange(30))
     asked = ((found, 0.0), (found, 30.0), (few, 0.0))
@@ -75,7 +65,7 @@ def test_a_photograph_is_described_once_per_orientation(monkeypatch):
 
 
 def test_a_loaded_photograph_is_taken_as_it_is():
-    image = textured(size=(300, 500))
+    image = texture(500, 300)
     for limit in (200, 1024):
         photo = load_photograph(image, limit)
         assert load_photograph(photo, limit) is photo
@@ -87,7 +77,7 @@ def test_a_loaded_photograph_is_taken_as_it_is():
 
 @pytest.mark.parametrize("angle_deg", [37.0, 90.0, -120.0])
 def test_roll_is_recovered_from_a_turned_image(angle_deg):
-    image = textured(1)
+    image = texture(*SIZE, 1)
     one = detect_features(load_photograph(image))
     two = detect_features(load_photograph(rotated(image, angle_deg)[0]))
     d1, d2 = (normalise_descriptors(f.descriptors, root=True, centred=True) for f in (one, two))
@@ -98,7 +88,7 @@ def test_roll_is_recovered_from_a_turned_image(angle_deg):
 
 
 def test_described_again_at_their_own_orientation_features_look_the_same():
-    photo = load_photograph(textured(2))
+    photo = load_photograph(texture(*SIZE, 2))
     found = detect_features(photo)
     frames = np.column_stack([found.xy, found.scale, found.orientation_deg])
     again = normalise_descriptors(describe_frames(photo.grey, frames), root=False, centred=True)
@@ -109,7 +99,7 @@ def test_described_again_at_their_own_orientation_features_look_the_same():
 
 
 def test_large_images_come_back_in_their_own_pixels():
-    small = textured(3, (480, 640))
+    small = texture(640, 480, 3)
     large = cv2.resize(small, (1280, 960), interpolation=cv2.INTER_CUBIC)
     a = detect_features(load_photograph(small))
     b = detect_features(load_photograph(large, 640))
@@ -121,7 +111,7 @@ def test_large_images_come_back_in_their_own_pixels():
 
 
 def test_working_map_is_the_change_of_coordinates():
-    photo = load_photograph(textured(0, (300, 500)), 250)
+    photo = load_photograph(texture(500, 300), 250)
     xy = np.array([[0.0, 0.0], [499.0, 299.0], [17.5, 80.25]])
     expected = xy @ photo.working_map[:2, :2].T + photo.working_map[:2, 2]
     np.testing.assert_allclose(photo.to_working(xy), expected)
@@ -129,9 +119,8 @@ def test_working_map_is_the_change_of_coordinates():
 
 
 def test_colour_arrays_and_files_agree(tmp_path):
-    colour = np.stack([textured(k) for k in range(3)], axis=2)
-    cv2.imwrite(str(tmp_path / "x.png"), colour[:, :, ::-1])
-    difference = load_photograph(tmp_path / "x.png").grey.astype(int) - load_photograph(colour).grey
+    colour = np.stack([texture(*SIZE, k) for k in range(3)], axis=2)
+    difference = load_photograph(save(tmp_path / "x.png", colour)).grey.astype(int) - load_photograph(colour).grey
     assert np.abs(difference).max() <= 1
 
 
@@ -139,7 +128,7 @@ def test_colour_arrays_and_files_agree(tmp_path):
 def test_features_of_every_detector(detector):
     if detector == "colmap-sift":
         pytest.importorskip("pycolmap")
-    found = detect_features(load_photograph(textured(4)), FeatureSettings(detector=detector, max_keypoints=200))
+    found = detect_features(load_photograph(texture(*SIZE, 4)), FeatureSettings(detector=detector, max_keypoints=200))
     assert 10 < len(found) <= 300
     assert found.descriptors.shape == (len(found), 128)
     assert (found.scale > 0).all()
@@ -147,7 +136,7 @@ def test_features_of_every_detector(detector):
 
 def test_opencv_and_colmap_sift_agree_on_the_pixel_origin():
     pytest.importorskip("pycolmap")
-    photo = load_photograph(textured(5))
+    photo = load_photograph(texture(*SIZE, 5))
     a = detect_features(photo)
     b = detect_features(photo, FeatureSettings(detector="colmap-sift"))
     # COLMAP's threshold is lower: it finds what OpenCV finds, and more.
@@ -170,11 +159,11 @@ def test_bad_images_are_named(image, message):
         load_photograph(image)
 
 
-def test_files_that_are_no_images_are_named(tmp_path):
-    for name, data in (("text.jpg", b"not an image"), ("empty.png", b"")):
-        (tmp_path / name).write_bytes(data)
-        with pytest.raises(ImageError, match=name):
-            load_photograph(tmp_path / name)
+@pytest.mark.parametrize(("name", "data"), [("text.jpg", b"not an image"), ("empty.png", b"")])
+def test_files_that_are_no_images_are_named(tmp_path, name, data):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(ImageError, match=rf"{name}: not an image"):
+        load_photograph(tmp_path / name)
 
 
 @pytest.mark.parametrize("image", [np.zeros((200, 200), np.uint8), np.zeros((10, 10), np.uint8)])
@@ -183,9 +172,8 @@ def test_no_texture_no_features(image):
 
 
 def test_twins_are_one_location():
-    xy = np.array([[1.0, 2.0], [5.0, 5.0], [1.0, 2.0], [1.0, 2.0]])
     found = Features(
-        xy=xy,
+        xy=np.array([[1.0, 2.0], [5.0, 5.0], [1.0, 2.0], [1.0, 2.0]]),
         scale=np.array([2.0, 1.0, 2.0, 3.0]),
         orientation_deg=np.array([10.0, 0.0, 200.0, 0.0]),
         descriptors=np.ones((4, 128), np.float32),

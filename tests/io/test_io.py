@@ -5,17 +5,16 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from epiprior import FeatureError, FundamentalEstimate, ImageError, OutputError, RankedMatches, Status
+from epiprior import FeatureError, ImageError, OutputError, RankedMatches, Status
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior.io import ColmapPair, read_matches, write_colmap_database, write_matches
 from epiprior.io.colmap import fundamental_for_colmap
 from epiprior.io.output import check_output, replacing
-from pictures import save, texture
-from synthetic import make_matches, make_pair, rotation, skew
+from pictures import save, texture, turned_jpeg
+from synthetic import make_estimate, make_matches, make_pair, rotation, skew
 
 COLUMNS = [
     f for f in make_pair().matches.__dataclass_fields__ if f not in ("roll_deg", "rough_matrices", "image_sizes")
@@ -25,14 +24,9 @@ COLUMNS = [
 def two_sets():
     pair = make_pair(seed=5)
     rng = np.random.default_rng(0)
-    n = len(pair.matches)
-    first = replace(
-        pair.matches,
-        supporting_matrices=rng.integers(0, 4950, n),
-        similarity=rng.uniform(-1, 1, n),
-        two_keypoint_probability=rng.uniform(0, 1, n),
-        orientation2_deg=rng.uniform(0, 360, n),
-    )
+    ranges = {"similarity": (-1, 1), "two_keypoint_probability": (0, 1), "orientation2_deg": (0, 360)}
+    columns = {name: rng.uniform(*limits, len(pair.matches)) for name, limits in ranges.items()}
+    first = replace(pair.matches, supporting_matrices=rng.integers(0, 4950, len(pair.matches)), **columns)
     return first, replace(first.take(slice(0, 7)), roll_deg=37.25, probability=np.full(7, np.nan))
 
 
@@ -99,87 +93,58 @@ def test_columns_in_any_order_and_further_ones(tmp_path):
     assert_same(read_matches(path)[0], two_sets()[0], 1e-8)
 
 
-def broken(tmp_path, change):
+@pytest.mark.parametrize(
+    ("row", "change", "words"),
+    [
+        (0, lambda line: line.replace("distance_ratio", "ratio"), "column distance_ratio"),
+        (3, lambda line: "0,0,abc" + line[line.index(",", 4) :], "line 4.*x1.*abc"),
+        (2, lambda line: line + ",5", "line 3"),
+        (2, lambda line: line.rsplit(",", 1)[0] + ",1.5", "line 3.*feature2"),
+        (2, lambda line: "0,90" + line[3:], "roll_deg"),
+        (2, lambda line: "0,0,nan" + line[line.index(",", 4) :], "column x1.*NaN"),
+        (0, lambda line: "", "lacks the column set"),
+    ],
+)
+def test_broken_csv_names_file_and_place(tmp_path, row, change, words):
     path = tmp_path / "m.csv"
     write_matches(path, two_sets())
     lines = path.read_text().splitlines()
-    change(lines)
+    lines[row] = change(lines[row])
     path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (
-            lambda lines: lines.__setitem__(0, lines[0].replace("distance_ratio", "ratio")),
-            "column distance_ratio",
-        ),
-        (
-            lambda lines: lines.__setitem__(3, "0,0,abc" + lines[3][lines[3].index(",", 4) :]),
-            "line 4.*x1.*abc",
-        ),
-        (lambda lines: lines.__setitem__(2, lines[2] + ",5"), "line 3"),
-        (lambda lines: lines.__setitem__(2, lines[2].rsplit(",", 1)[0] + ",1.5"), "line 3.*feature2"),
-        (lambda lines: lines.__setitem__(2, "0,90" + lines[2][3:]), "roll_deg"),
-        (
-            lambda lines: lines.__setitem__(2, "0,0,nan" + lines[2][lines[2].index(",", 4) :]),
-            "column x1.*NaN",
-        ),
-        (list.clear, "lacks the column set"),
-    ],
-)
-def test_broken_csv_names_file_and_place(tmp_path, change, words):
-    path = broken(tmp_path, change)
     with pytest.raises(FeatureError, match=f"(?s)m\\.csv.*{words}"):
         read_matches(path)
+
+
+def npz_columns(tmp_path):
+    write_matches(tmp_path / "good.npz", two_sets())
+    with np.load(tmp_path / "good.npz") as data:
+        return dict(data)
 
 
 def test_files_that_are_no_tables(tmp_path):
     (tmp_path / "picture.csv").write_bytes(bytes(range(256)))
     (tmp_path / "text.npz").write_text("text")
     np.savez(tmp_path / "other.npz", x1=np.zeros(3))
-    np.savez(tmp_path / "objects.npz", **dict.fromkeys(_npz_columns(tmp_path), np.array([{}])))
+    np.savez(tmp_path / "objects.npz", **dict.fromkeys(npz_columns(tmp_path), np.array([{}])))
     (tmp_path / "m.txt").write_text("")
-    for name in (
-        "picture.csv",
-        "text.npz",
-        "other.npz",
-        "objects.npz",
-        "m.txt",
-        "missing.csv",
-        "missing.npz",
-    ):
+    for name in ("picture.csv", "text.npz", "other.npz", "objects.npz", "m.txt", "missing.csv", "missing.npz"):
         with pytest.raises(FeatureError, match=name.replace(".", r"\.")):
             read_matches(tmp_path / name)
 
 
-def _npz_columns(tmp_path):
-    write_matches(tmp_path / "good.npz", two_sets())
-    with np.load(tmp_path / "good.npz") as data:
-        return list(data)
-
-
 def test_npz_columns_of_other_lengths(tmp_path):
-    names = _npz_columns(tmp_path)
-    with np.load(tmp_path / "good.npz") as data:
-        columns = {name: data[name] for name in names}
+    columns = npz_columns(tmp_path)
     np.savez(tmp_path / "bad.npz", **{**columns, "x2": columns["x2"][:-1]})
     with pytest.raises(FeatureError, match=r"bad\.npz: column x2"):
         read_matches(tmp_path / "bad.npz")
 
 
-@pytest.mark.parametrize("name", ["m.txt", "m", "missing/m.csv"])
+@pytest.mark.parametrize("name", ["m.txt", "m", "missing/m.csv", "folder.csv: is a folder"])
 def test_outputs_that_cannot_be(tmp_path, name):
+    (tmp_path / "folder.csv").mkdir()
     with pytest.raises(OutputError, match=name):
-        write_matches(tmp_path / name, two_sets())
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_output_is_a_folder(tmp_path):
-    (tmp_path / "m.csv").mkdir()
-    with pytest.raises(OutputError, match="is a folder"):
-        write_matches(tmp_path / "m.csv", two_sets())
+        write_matches(tmp_path / name.split(":")[0], two_sets())
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.csv"]
 
 
 def test_a_folder_that_may_not_be_written_to_is_told_before_the_work(tmp_path, monkeypatch):
@@ -219,17 +184,7 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def estimate(x1, x2, F, inliers):
-    ok = F is not None
-    return FundamentalEstimate(
-        status=Status.OK if ok else Status.NO_MODEL,
-        F=F,
-        x1=x1,
-        x2=x2,
-        inliers=inliers,
-        support=int(inliers.sum()),
-        estimator="usac",
-    )
+PAIR = make_pair(seed=4, noise_px=0.2)
 
 
 def test_fundamental_for_colmap_keeps_distances():
@@ -249,20 +204,18 @@ def images(tmp_path):
 
 def test_database_reads_back(tmp_path, images):
     pycolmap = pytest.importorskip("pycolmap")
-    pair = make_pair(seed=4, noise_px=0.2)
-    x1, x2 = pair.matches.x1, pair.matches.x2
+    x1, x2 = PAIR.matches.x1, PAIR.matches.x2
     # The last match shares its keypoint of image 1 with the first inlier, which has to stay.
-    first = int(np.flatnonzero(pair.right)[0])
-    x1 = np.vstack([x1, x1[first]])
+    x1 = np.vstack([x1, x1[np.flatnonzero(PAIR.right)[0]]])
     x2 = np.vstack([x2, [5.0, 5.0]])
-    inliers = np.append(pair.right, False)
-    write_colmap_database(
-        tmp_path / "out.db",
-        [
-            ColmapPair(image1=images[0], image2=images[2], estimate=estimate(x1, x2, pair.F, inliers)),
-            ColmapPair(image1=images[1], image2=images[0], estimate=estimate(x2, x1, None, inliers & False)),
-        ],
-    )
+    inliers = np.append(PAIR.right, False)
+    found = make_estimate(PAIR, x1=x1, x2=x2, inliers=inliers)
+    nothing = make_estimate(PAIR, Status.NO_MODEL, x1=x2, x2=x1, inliers=inliers & False)
+    pairs = [
+        ColmapPair(image1=images[0], image2=images[2], estimate=found),
+        ColmapPair(image1=images[1], image2=images[0], estimate=nothing),
+    ]
+    write_colmap_database(tmp_path / "out.db", pairs)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["images", "out.db"]
     with pycolmap.Database.open(tmp_path / "out.db") as db:
         ids = {image.name: image.image_id for image in db.read_all_images()}
@@ -273,11 +226,11 @@ def test_database_reads_back(tmp_path, images):
         assert len(keypoints[c]) == len(x1)
         geometry = db.read_two_view_geometry(a, c)
         got = geometry.inlier_matches
-        assert len(got) == pair.right.sum()
+        assert len(got) == PAIR.right.sum()
         found = np.hstack([keypoints[a][got[:, 0]], keypoints[c][got[:, 1]]]) - 0.5
         np.testing.assert_allclose(found, np.hstack([x1, x2])[inliers], atol=1e-3)
         distance = sampson_distance(geometry.F, found[:, :2] + 0.5, found[:, 2:] + 0.5)
-        np.testing.assert_allclose(distance, sampson_distance(pair.F, x1, x2)[inliers], atol=1e-3)
+        np.testing.assert_allclose(distance, sampson_distance(PAIR.F, x1, x2)[inliers], atol=1e-3)
         matches = db.read_matches(a, c)
         assert len(matches) == len(x1) - 1
         assert len(np.unique(matches[:, 0])) == len(np.unique(matches[:, 1])) == len(matches)
@@ -288,25 +241,21 @@ def test_database_reads_back(tmp_path, images):
 
 def test_pycolmap_maps_from_the_database(tmp_path, images):
     pycolmap = pytest.importorskip("pycolmap")
-    # The focal length that COLMAP guesses for 1024 pixels.
-    K = np.array([[1228.8, 0, 511.5], [0, 1228.8, 383.5], [0, 0, 1]])
     rng = np.random.default_rng(0)
     points = rng.uniform([-3, -2, -1.5], [3, 2, 1.5], (300, 3)) + np.array([0, 0, 12])
-    poses = []
-    for degrees in (-8.0, 0.0, 8.0):
-        R = rotation((0.0, 1.0, 0.0), degrees)
-        poses.append((R, np.array([0, 0, 12.0]) - R @ [0, 0, 12.0]))
-    views = []
-    for R, t in poses:
-        Y = (points @ R.T + t) @ K.T
-        views.append(Y[:, :2] / Y[:, 2:] + rng.normal(0, 0.2, (300, 2)))
+    turns = [rotation((0.0, 1.0, 0.0), degrees) for degrees in (-8.0, 0.0, 8.0)]
+    poses = [(R, np.array([0, 0, 12.0]) - R @ [0, 0, 12.0]) for R in turns]
+    # The focal length that COLMAP guesses for a width of 1024.
+    K = np.array([[1228.8, 0, 511.5], [0, 1228.8, 383.5], [0, 0, 1]])
+    projected = [(points @ R.T + t) @ K.T for R, t in poses]
+    views = [x[:, :2] / x[:, 2:] + rng.normal(0, 0.2, (300, 2)) for x in projected]
+    inverse = np.linalg.inv(K)
     pairs = []
     for i, j in ((0, 1), (1, 2), (0, 2)):
         R = poses[j][0] @ poses[i][0].T
-        t = poses[j][1] - R @ poses[i][1]
-        F = normalise_fundamental(np.linalg.inv(K).T @ skew(t) @ R @ np.linalg.inv(K))
-        inliers = np.ones(300, bool)
-        pairs.append(ColmapPair(image1=images[i], image2=images[j], estimate=estimate(views[i], views[j], F, inliers)))
+        F = normalise_fundamental(inverse.T @ skew(poses[j][1] - R @ poses[i][1]) @ R @ inverse)
+        known = {"x1": views[i], "x2": views[j], "F": F, "inliers": np.ones(300, bool), "support": 300}
+        pairs.append(ColmapPair(image1=images[i], image2=images[j], estimate=make_estimate(PAIR, **known)))
     write_colmap_database(tmp_path / "out.db", pairs, image_root=tmp_path / "images")
     (tmp_path / "sparse").mkdir()
     options = pycolmap.IncrementalPipelineOptions(extract_colors=False, num_threads=1)
@@ -318,50 +267,24 @@ def test_pycolmap_maps_from_the_database(tmp_path, images):
 
 
 def test_databases_that_cannot_be(tmp_path, images):
-    pair = make_pair(seed=4)
-    good = ColmapPair(
-        image1=images[0],
-        image2=images[1],
-        estimate=estimate(pair.matches.x1, pair.matches.x2, pair.F, pair.right),
-    )
-    with pytest.raises(OutputError, match="paired with itself"):
-        write_colmap_database(tmp_path / "out.db", [replace(good, image2=images[0])])
-    with pytest.raises(OutputError, match="twice"):
-        write_colmap_database(tmp_path / "out.db", [good, replace(good, image1=images[1], image2=images[0])])
-    with pytest.raises(OutputError, match="no folder"):
-        write_colmap_database(tmp_path / "missing" / "out.db", [good])
-    with pytest.raises(ImageError, match=r"gone\.png"):
-        write_colmap_database(tmp_path / "out.db", [replace(good, image2=tmp_path / "gone.png")])
-    with pytest.raises(ImageError, match="outside"):
-        write_colmap_database(tmp_path / "out.db", [good], image_root=tmp_path / "images" / "sub")
-    assert not (tmp_path / "out.db").exists()
-    (tmp_path / "out.db").write_text("precious")
+    good = ColmapPair(image1=images[0], image2=images[1], estimate=make_estimate(PAIR))
+    swapped = replace(good, image1=images[1], image2=images[0])
+    path, sub = tmp_path / "out.db", tmp_path / "images" / "sub"
+    for error, words, database, pairs, options in (
+        (OutputError, "paired with itself", path, [replace(good, image2=images[0])], {}),
+        (OutputError, "twice", path, [good, swapped], {}),
+        (OutputError, "no folder", tmp_path / "missing" / "out.db", [good], {}),
+        (ImageError, r"gone\.png", path, [replace(good, image2=tmp_path / "gone.png")], {}),
+        (ImageError, r"turned\.jpg.*EXIF", path, [replace(good, image2=turned_jpeg(tmp_path / "turned.jpg"))], {}),
+        (ImageError, "outside", path, [good], {"image_root": sub}),
+    ):
+        with pytest.raises(error, match=words):
+            write_colmap_database(database, pairs, **options)
+    assert not path.exists()
+    path.write_text("precious")
     with pytest.raises(OutputError, match="exists already"):
-        write_colmap_database(tmp_path / "out.db", [good])
-    assert (tmp_path / "out.db").read_text() == "precious"
-
-
-def test_turned_images_are_refused(tmp_path, images):
-    tiff_with_orientation = (
-        b"MM\x00*\x00\x00\x00\x08\x00\x01\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00\x00\x00\x00\x00"
-    )
-    exif = b"\xff\xe1" + (len(tiff_with_orientation) + 8).to_bytes(2, "big") + b"Exif\0\0" + tiff_with_orientation
-    data = cv2.imencode(".jpg", texture(64, 48))[1].tobytes()
-    turned = tmp_path / "turned.jpg"
-    turned.write_bytes(data[:2] + exif + data[2:])
-    assert cv2.imread(str(turned)).shape == (64, 48, 3)
-    pair = make_pair(seed=4)
-    with pytest.raises(ImageError, match=r"turned\.jpg.*EXIF"):
-        write_colmap_database(
-            tmp_path / "out.db",
-            [
-                ColmapPair(
-                    image1=images[0],
-                    image2=turned,
-                    estimate=estimate(pair.matches.x1, pair.matches.x2, pair.F, pair.right),
-                )
-            ],
-        )
+        write_colmap_database(path, [good])
+    assert path.read_text() == "precious"
 
 
 def test_without_pycolmap(tmp_path, monkeypatch):
@@ -377,8 +300,7 @@ def test_full_disk_leaves_no_database(tmp_path, images, monkeypatch):
         raise RuntimeError("SQLite error: database or disk is full")
 
     monkeypatch.setattr(pycolmap.Database, "write_keypoints", full)
-    pair = make_pair(seed=4)
-    found = estimate(pair.matches.x1, pair.matches.x2, pair.F, pair.right)
+    pair = ColmapPair(image1=images[0], image2=images[1], estimate=make_estimate(PAIR))
     with pytest.raises(OutputError, match=r"out\.db.*disk is full"):
-        write_colmap_database(tmp_path / "out.db", [ColmapPair(image1=images[0], image2=images[1], estimate=found)])
+        write_colmap_database(tmp_path / "out.db", [pair])
     assert [p.name for p in tmp_path.iterdir()] == ["images"]

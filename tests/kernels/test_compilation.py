@@ -35,10 +35,8 @@ def test_compilation_is_announced_once_per_kernel(monkeypatch, caplog):
 
     monkeypatch.setattr(compilation, "_asked", set())
     with caplog.at_level(logging.INFO, logger="epiprior"):
-        for _ in range(2):
-            compilation.announce_compilation(Fresh, "this", "a second")
-            compilation.announce_compilation(Compiled, "that", "a second")
-            compilation.announce_compilation(Broken, "those", "a second")
+        for kernel, what in [(Fresh, "this"), (Compiled, "that"), (Broken, "those")] * 2:
+            compilation.announce_compilation(kernel, what, "a second")
     line = "compiling kernels of {}: the first call on this machine takes a second"
     assert [record.message for record in caplog.records] == [line.format("this"), line.format("those")]
 

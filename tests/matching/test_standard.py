@@ -3,17 +3,13 @@ import pytest
 
 import naive
 from epiprior.matching.standard import mutual_mask, nearest_neighbours, similarity_weights, standard_table
-
-
-def unit(rng, n, d=16):
-    x = rng.normal(size=(n, d)).astype(np.float32)
-    return x / np.linalg.norm(x, axis=1, keepdims=True)
+from synthetic import unit_rows
 
 
 @pytest.mark.parametrize(("n1", "n2"), [(7, 11), (600, 30), (1, 1), (5, 1)])
 def test_both_directions_equal_the_naive_search(n1, n2):
     rng = np.random.default_rng(n1)
-    d1, d2 = unit(rng, n1), unit(rng, n2)
+    d1, d2 = unit_rows(rng, n1, 16), unit_rows(rng, n2, 16)
     S = d1 @ d2.T
     for side, table in zip(nearest_neighbours(d1, d2), (S, S.T), strict=True):
         nearest, best, second = naive.two_best(table)
@@ -25,7 +21,7 @@ def test_both_directions_equal_the_naive_search(n1, n2):
 @pytest.mark.parametrize(("n1", "n2"), [(0, 4), (4, 0), (0, 0)])
 def test_no_features_on_a_side(n1, n2):
     rng = np.random.default_rng(0)
-    forward, backward = nearest_neighbours(unit(rng, n1), unit(rng, n2))
+    forward, backward = nearest_neighbours(unit_rows(rng, n1, 16), unit_rows(rng, n2, 16))
     assert forward.nearest.tolist() == [-1] * n1
     assert backward.nearest.tolist() == [-1] * n2
     assert not mutual_mask(forward, backward).any()
@@ -46,7 +42,7 @@ def test_identical_neighbours_have_ratio_one():
 
 def test_similarity_weight_as_printed():
     rng = np.random.default_rng(3)
-    d1, d2 = unit(rng, 40, 4), unit(rng, 50, 4)
+    d1, d2 = unit_rows(rng, 40, 4), unit_rows(rng, 50, 4)
     forward, backward = nearest_neighbours(d1, d2)
     weights = similarity_weights(forward, backward)
     S = d1 @ d2.T
@@ -92,7 +88,7 @@ def naive_table(d1, d2, of1, of2, limit):
 @pytest.mark.parametrize("seed", range(3))
 def test_standard_table_equals_naive(seed):
     rng = np.random.default_rng(seed)
-    d1, d2 = unit(rng, 60, 6), unit(rng, 50, 6)
+    d1, d2 = unit_rows(rng, 60, 6), unit_rows(rng, 50, 6)
     of1, of2 = np.sort(rng.integers(0, 40, 60)), np.sort(rng.integers(0, 35, 50))
     of1, of2 = (np.unique(of, return_inverse=True)[1] for of in (of1, of2))
     table = standard_table(*nearest_neighbours(d1, d2), (of1, of2), 0.8)

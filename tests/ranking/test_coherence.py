@@ -8,17 +8,7 @@ import pytest
 import naive
 from epiprior.presets import COHERENCE_COLUMNS
 from epiprior.ranking.coherence import FAR, NEAR, coherence, descriptor_weights
-from epiprior.ranking.frames import MatchFrames
-
-
-def frames_of(x1, x2, scale1=None, scale2=None, roll_rad=0.0):
-    n = len(x1)
-    ones = np.ones(n)
-    return MatchFrames(
-        x1=np.asarray(x1, float), x2=np.asarray(x2, float), scale1=ones if scale1 is None else scale1,
-        scale2=ones if scale2 is None else scale2, orientation1_rad=0 * ones, orientation2_rad=0 * ones,
-        similarity=ones, fixed_similarity=ones, roll_rad=roll_rad,
-    )  # fmt: skip
+from synthetic import make_frames
 
 
 def turned(x, roll_rad, scale):
@@ -36,7 +26,8 @@ def test_equals_naive(places, roll):
     x2 = turned(x1, roll, 1.3) + rng.normal(0, 20, (m, 2)) * rng.integers(0, 2, (m, 1))
     scale1, scale2 = rng.uniform(1, 3, m), rng.uniform(1, 4, m)
     weights = rng.random(m) * rng.integers(0, 2, m)
-    found = coherence(frames_of(x1, x2, scale1, scale2, roll), location1, weights)
+    frames = make_frames(x1, x2, scale1=scale1, scale2=scale2, roll_rad=roll)
+    found = coherence(frames, location1, weights)
     wanted = naive.coherence(x1, x2, scale1, scale2, location1, weights, roll, NEAR, FAR)
     assert found.shape == (m, len(COHERENCE_COLUMNS))
     np.testing.assert_allclose(found, wanted, atol=1e-9)
@@ -47,18 +38,18 @@ def test_a_match_that_moves_with_its_surroundings_stands_out():
     x1 = rng.uniform(0, 300, (60, 2))
     x2 = turned(x1, 0.5, 1.5)
     x2[0] += [80.0, 0.0]  # one match was taken for its neighbour
-    found = coherence(frames_of(x1, x2, scale2=np.full(60, 1.5), roll_rad=0.5), np.arange(60), np.full(60, 0.5))
+    found = coherence(make_frames(x1, x2, scale2=np.full(60, 1.5), roll_rad=0.5), np.arange(60), np.full(60, 0.5))
     assert found[1:, 3].min() > 0.8
     assert found[0, 3] < 0.5
     assert (found[:, 0] <= found[:, 2] + 1e-12).all()
 
 
 def test_neither_a_match_without_neighbours_nor_no_match_says_anything():
-    one = frames_of([[1.0, 1.0]], [[2.0, 2.0]])
+    one = make_frames([[1.0, 1.0]], [[2.0, 2.0]])
     assert not coherence(one, np.zeros(1, np.int64), np.ones(1)).any()
     none = np.empty((0, 2))
-    assert coherence(frames_of(none, none), np.empty(0, np.int64), np.empty(0)).shape == (0, len(COHERENCE_COLUMNS))
-    far = frames_of([[0.0, 0.0], [900.0, 0.0]], [[0.0, 0.0], [900.0, 0.0]])
+    assert coherence(make_frames(none, none), np.empty(0, np.int64), np.empty(0)).shape == (0, len(COHERENCE_COLUMNS))
+    far = make_frames([[0.0, 0.0], [900.0, 0.0]], [[0.0, 0.0], [900.0, 0.0]])
     assert not coherence(far, np.arange(2), np.ones(2)).any()
 
 

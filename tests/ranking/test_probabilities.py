@@ -1,53 +1,26 @@
 import numpy as np
 import pytest
 
-from epiprior.matching.putative import PutativeMatches
 from epiprior.matching.standard import nearest_neighbours, standard_table
 from epiprior.presets import COHERENCE_COLUMNS, MATCH_COLUMNS, PAPER_TWO_KEYPOINT_COLUMNS
-from epiprior.ranking.frames import MatchFrames
-from epiprior.ranking.probabilities import (
-    _best_rival,
-    match_table,
-    pair_columns,
-    two_keypoint_scores,
-    unite,
-)
+from epiprior.ranking.probabilities import _best_rival, match_table, pair_columns, two_keypoint_scores, unite
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
-
-
-def unit(rng, n, d=6):
-    x = rng.normal(size=(n, d)).astype(np.float32)
-    return x / np.linalg.norm(x, axis=1, keepdims=True)
-
-
-def putative(pairs, n1, n2):
-    rows = np.array(sorted(pairs), np.int64).reshape(-1, 2)
-    counts = np.bincount(rows[:, 0], minlength=n1)
-    start = np.concatenate([[0], np.cumsum(counts)])
-    return PutativeMatches(rows[:, 0], rows[:, 1], start, counts, np.bincount(rows[:, 1], minlength=n2))
-
-
-def frames_of(n, rng=None):
-    rng = rng or np.random.default_rng(0)
-    return MatchFrames(
-        x1=rng.random((n, 2)), x2=rng.random((n, 2)), scale1=1 + rng.random(n), scale2=1 + rng.random(n),
-        orientation1_rad=rng.random(n), orientation2_rad=rng.random(n), similarity=rng.random(n),
-        fixed_similarity=rng.random(n), roll_rad=0.0,
-    )  # fmt: skip
+from synthetic import make_frames, make_putative, unit_rows
 
 
 def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
     rng = np.random.default_rng(0)
-    d1, d2 = unit(rng, 12), unit(rng, 12)
+    d1, d2 = unit_rows(rng, 12, 6), unit_rows(rng, 12, 6)
     table = standard_table(*nearest_neighbours(d1, d2), (np.arange(12), np.arange(12)), 0.9)
     standard = list(zip(table.location1.tolist(), table.location2.tolist(), strict=True))
-    X = putative({standard[0], standard[1], (0, 0), (11, 3), (5, 5)}, 12, 12)
+    X = make_putative({standard[0], standard[1], (0, 0), (11, 3), (5, 5)}, 12, 12)
     union = unite(X, table)
     pairs = list(zip(union.location1.tolist(), union.location2.tolist(), strict=True))
     in_x = list(zip(X.feature1.tolist(), X.feature2.tolist(), strict=True))
     assert pairs == sorted(set(in_x) | set(standard))
     sfm = np.arange(1, len(X) + 1)
-    frames = frames_of(len(union), rng)
+    n = len(union)
+    frames = make_frames(*rng.random((2, n, 2)), scale1=1 + rng.random(n), scale2=1 + rng.random(n))
     around = rng.random((len(union), 4))
     scores = (np.linspace(0, 1, len(X)), np.linspace(0, 2, len(X)))
     kpmd = match_table(union, frames, table, sfm, sfm / 2, scores, around, (0.9, 0.5, 0.2))
@@ -64,9 +37,8 @@ def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
     assert kpmd.column("rivals").tolist() == rivals
     np.testing.assert_allclose(kpmd.column("scale_change"), np.abs(np.log(frames.scale2 / frames.scale1)), rtol=1e-6)
     np.testing.assert_allclose(kpmd.select(COHERENCE_COLUMNS), around, rtol=1e-6)
-    assert np.unique(kpmd.select(("pair_two_keypoints", "pair_support")), axis=0) == pytest.approx(
-        np.array([[0.5, 0.2]])
-    )
+    pair_wide = np.unique(kpmd.select(("pair_two_keypoints", "pair_support")), axis=0)
+    np.testing.assert_allclose(pair_wide, [[0.5, 0.2]], rtol=1e-6)
 
 
 def test_pair_columns():
@@ -100,10 +72,7 @@ def test_two_keypoint_scores_equal_naive():
 def test_nothing_at_all():
     none = np.empty((0, 4), np.float32)
     table = standard_table(*nearest_neighbours(none, none), (np.empty(0, np.int64),) * 2, 0.9)
-    union = unite(putative(set(), 0, 0), table)
-    empty = np.empty(0)
-    none_around = np.empty((0, 4))
-    kpmd = match_table(
-        union, frames_of(0), table, np.empty(0, np.int64), empty, (empty, empty), none_around, (0.0, 0.0, 0.0)
-    )
+    union, frames = unite(make_putative(set(), 0, 0), table), make_frames(np.empty((0, 2)), np.empty((0, 2)))
+    empty, around = np.empty(0), np.empty((0, 4))
+    kpmd = match_table(union, frames, table, np.empty(0, np.int64), empty, (empty, empty), around, (0.0, 0.0, 0.0))
     assert kpmd.descriptors.shape == (0, len(MATCH_COLUMNS))

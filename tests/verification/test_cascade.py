@@ -40,11 +40,9 @@ def test_a_value_out_of_range_is_named(bad):
         CascadeRule(min_plausibility=bad)
 
 
-def test_file_round_trip_is_exact_and_byte_stable(tmp_path):
+def test_file_round_trip_is_exact(tmp_path):
     rule = CascadeRule(min_plausibility=0.35)
     save_cascade_rule(tmp_path / "a.json", rule)
-    save_cascade_rule(tmp_path / "b.json", replace(rule))
-    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
     assert load_cascade_rule(tmp_path / "a.json") == rule
 
 
@@ -61,14 +59,6 @@ def test_bad_file_names_the_culprit(tmp_path, content, culprit):
     path.write_text(json.dumps(content))
     with pytest.raises(SettingsError, match=rf"cascade\.json: .*{culprit}"):
         load_cascade_rule(path)
-
-
-def test_unreadable_file_is_named(tmp_path):
-    with pytest.raises(SettingsError, match=r"gone\.json: cannot be read"):
-        load_cascade_rule(tmp_path / "gone.json")
-    (tmp_path / "text.json").write_text("{")
-    with pytest.raises(SettingsError, match=r"text\.json: not JSON"):
-        load_cascade_rule(tmp_path / "text.json")
 
 
 def test_without_a_file_the_defaults_hold(monkeypatch):

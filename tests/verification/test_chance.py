@@ -19,9 +19,7 @@ def test_distinct_count_takes_shared_points_once():
     x2 = np.array([[5.0, 0], [6, 0], [7, 0], [7, 0]])
     assert distinct_count(x1, x2) == 3
     assert distinct_count(x1[:0], x2[:0]) == 0
-
-
-def test_distinct_count_keeps_points_that_differ_in_one_coordinate():
+    # Points that differ in one coordinate are different.
     x = np.array([[0.0, 1], [1, 0], [0, 0], [1, 1]])
     assert distinct_count(x, x) == 4
 
@@ -54,6 +52,7 @@ def test_beyond_chance_is_the_binomial_law():
     assert 1e5 * binom.sf(5, 93, 0.005) < 1 < 1e5 * binom.sf(4, 93, 0.005)
     assert beyond_chance(13, 100, 0.005, fitted=7)
     assert not beyond_chance(12, 100, 0.005, fitted=7)
+    assert not beyond_chance(100, 100, 1.0, fitted=7)
 
 
 def test_beyond_chance_counts_no_more_hypotheses_than_there_are():
@@ -65,10 +64,6 @@ def test_beyond_chance_counts_no_more_hypotheses_than_there_are():
 @pytest.mark.parametrize(("supporters", "matches"), [(0, 0), (7, 7), (7, 100), (2, 5)])
 def test_what_the_sample_explains_anyway_is_chance(supporters, matches):
     assert not beyond_chance(supporters, matches, 1e-6, fitted=7)
-
-
-def test_a_certain_rate_is_always_chance():
-    assert not beyond_chance(100, 100, 1.0, fitted=7)
 
 
 def test_rates_of_their_own_follow_the_law_of_their_sum():

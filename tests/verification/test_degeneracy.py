@@ -16,7 +16,7 @@ from epiprior.verification.degeneracy import (
     homography_distance,
     why_degenerate,
 )
-from synthetic import make_matches, make_pair, project, rotation, skew
+from synthetic import make_matches, make_pair, on_epipolar_lines, project, rotation, skew
 
 
 def why(matches: MatchSet, name: str = "usac") -> str:
@@ -38,8 +38,7 @@ def facade(depth: float, share: float, seed: int, noise_px: float = 0.3) -> Matc
     return make_matches(np.concatenate([y1, o1])[walk], np.concatenate([y2, o2])[walk])
 
 
-@pytest.mark.parametrize("outliers", [0, 100, 500])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("outliers", "seed"), [(0, 0), (100, 1), (500, 2)])
 @pytest.mark.parametrize("scene", ["plane", "rotation"])
 def test_one_homography_raises_an_alarm(scene, seed, outliers):
     assert "homography" in why(make_pair(scene=scene, outliers=outliers, seed=seed).matches)
@@ -70,7 +69,7 @@ def inaccurate(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     return skew(epipole) @ H, np.concatenate([matches.x1, x1]), np.concatenate([matches.x2, x2])
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_matches_of_the_plane_that_are_inaccurate_do_not_decide(seed):
     F, x1, x2 = inaccurate(seed)
     near = sampson_distance(F, x1[-60:], x2[-60:]) < 1.5
@@ -82,15 +81,15 @@ def test_a_feature_with_a_match_on_the_plane_has_no_other():
     """Rivals of matches on the plane agree with F; alone they would decide it."""
     pair = make_pair(scene="plane", outliers=40)
     right = pair.matches.take(pair.right)
-    rivals = _on_epipolar_lines(pair.F, right.x1[:40])
+    rivals = on_epipolar_lines(pair.F, right.x1[:40])
     x1, x2 = np.concatenate([pair.matches.x1, right.x1[:40]]), np.concatenate([pair.matches.x2, rivals])
     assert "homography" in why_degenerate(pair.F, x1, x2)
     x1[-40:] += np.array([7.0, 0.0])  # as features of their own
-    x2[-40:] = _on_epipolar_lines(pair.F, x1[-40:])
+    x2[-40:] = on_epipolar_lines(pair.F, x1[-40:])
     assert why_degenerate(pair.F, x1, x2) == ""
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("outliers", [30, 200])
 def test_few_right_matches_of_relief_raise_none(outliers, seed):
     pair = make_pair(inliers=25, outliers=outliers, seed=seed)
@@ -106,26 +105,20 @@ def test_levels_decide_what_is_proof():
     assert not found.decides(DecidedLevels(off_plane_share=0.1))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("size", [{"inliers": 200, "outliers": 100}, {"inliers": 20, "outliers": 20}])
 def test_relief_raises_none(size, seed):
     assert why(make_pair(**size, seed=seed).matches) == ""
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("off_plane", [12, 30])
-def test_a_few_matches_off_the_plane_decide(off_plane, seed):
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("off_plane", "decides"), [(2, False), (12, True), (30, True)])
+def test_a_few_matches_off_the_plane_decide_but_two_do_not(off_plane, decides, seed):
     pair = make_pair(scene="plane+", off_plane=off_plane, seed=seed)
-    assert why_degenerate(pair.F, pair.matches.x1, pair.matches.x2) == ""
+    assert ("homography" in why_degenerate(pair.F, pair.matches.x1, pair.matches.x2)) == (not decides)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_two_matches_off_the_plane_do_not(seed):
-    pair = make_pair(scene="plane+", off_plane=2, seed=seed)
-    assert "homography" in why_degenerate(pair.F, pair.matches.x1, pair.matches.x2)
-
-
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_facade_with_recessed_windows_raises_none(seed):
     matches = facade(0.4, 0.3, seed)
     assert why_degenerate(make_pair().F, matches.x1, matches.x2) == ""
@@ -142,23 +135,16 @@ def test_relief_below_the_threshold_of_the_plane_is_seen_by_its_direction():
     assert "homography" in why_degenerate(F, flat.x1, flat.x2)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_collinear_points(seed):
-    assert why(make_pair(scene="line", outliers=0, seed=seed).matches)
+def test_collinear_points():
+    assert why(make_pair(scene="line", outliers=0).matches)
 
 
 def test_collinear_in_one_image_only():
     pair = make_pair(scene="plane", inliers=100, outliers=0)
     x1 = pair.matches.x1.copy()
     x1[:, 1] = 0.3 * x1[:, 0] + 40
-    reason = why_degenerate(pair.F, x1, _on_epipolar_lines(pair.F, x1))
+    reason = why_degenerate(pair.F, x1, on_epipolar_lines(pair.F, x1))
     assert reason == "the inliers lie on one line in image 1"
-
-
-def _on_epipolar_lines(F: FloatArray, x1: FloatArray) -> FloatArray:
-    line = np.column_stack([x1, np.ones(len(x1))]) @ F.T
-    u = np.random.default_rng(0).uniform(0, 1024, len(x1))
-    return np.column_stack([u, -(line[:, 0] * u + line[:, 2]) / line[:, 1]])
 
 
 def near_line_slowly(x, support, threshold_px):
@@ -173,7 +159,7 @@ def near_line_slowly(x, support, threshold_px):
 
 @pytest.mark.parametrize("on_line", [0.0, 0.3, 0.6, 1.0])
 def test_points_near_a_line_are_those_of_the_slow_way(on_line):
-    for seed in range(100):
+    for seed in range(30):
         rng = np.random.default_rng(seed)
         x = rng.uniform(0, 1000, (int(rng.integers(8, 200)), 2))
         line = rng.random(len(x)) < on_line

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from epiprior.geometry import eight_point
 from epiprior.verification.measures import CELL_PX, FOCAL_LENGTHS, camera_plausibility, spread_groups, spread_of
-from synthetic import rotation
+from synthetic import rotation, skew
 
 SIZES = ((1024, 768), (1024, 768))
 
 
-def fundamental(f1, f2, centre1=(511.5, 383.5), centre2=(511.5, 383.5), seed=0):
+def fundamental(f1, f2, seed=0):
     rng = np.random.default_rng(seed)
     R, t = rotation(tuple(rng.normal(size=3)), 25.0), rng.normal(size=3)
-    cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
-    K1, K2 = (np.array([[f, 0, c[0]], [0, f, c[1]], [0, 0, 1.0]]) for f, c in ((f1, centre1), (f2, centre2)))
-    F = np.linalg.inv(K2).T @ cross @ R @ np.linalg.inv(K1)
+    K1, K2 = (np.array([[f, 0, 511.5], [0, f, 383.5], [0, 0, 1.0]]) for f in (f1, f2))
+    F = np.linalg.inv(K2).T @ skew(t) @ R @ np.linalg.inv(K1)
     return F / np.linalg.norm(F)
 
 
@@ -34,18 +34,15 @@ def naive_plausibility(F, sizes):
 
 @pytest.mark.parametrize("sizes", [SIZES, ((1024, 768), (600, 800))])
 def test_equals_singular_values(sizes):
-    models = np.random.default_rng(0).normal(size=(20, 3, 3)) / np.array(
-        [[1e6, 1e6, 1e3], [1e6, 1e6, 1e3], [1e3, 1e3, 1]]
-    )
-    U, s, Vt = np.linalg.svd(models)
+    pixels = np.array([[1e6, 1e6, 1e3], [1e6, 1e6, 1e3], [1e3, 1e3, 1]])
+    U, s, Vt = np.linalg.svd(np.random.default_rng(0).normal(size=(20, 3, 3)) / pixels)
     s[:, 2] = 0
     models = (U * s[:, None]) @ Vt
-    np.testing.assert_allclose(
-        camera_plausibility(models, sizes), [naive_plausibility(F, sizes) for F in models], rtol=1e-6
-    )
+    wanted = [naive_plausibility(F, sizes) for F in models]
+    np.testing.assert_allclose(camera_plausibility(models, sizes), wanted, rtol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("focal", [0.7, 1.0, 1.6, 2.4])
 def test_photographs_are_plausible_at_any_usual_focal_length(focal, seed):
     f = focal * 1024
@@ -66,8 +63,6 @@ def test_scale_of_f_and_size_of_the_pixels_change_nothing():
 def test_outliers_make_implausible_cameras():
     rng = np.random.default_rng(1)
     x1, x2 = (rng.uniform(0, [1024, 768], (200, 8, 2)) for _ in range(2))
-    from epiprior.geometry import eight_point
-
     models = np.array([F for a, b in zip(x1, x2, strict=True) if (F := eight_point(a, b)) is not None])
     assert np.median(camera_plausibility(models, SIZES)) < 0.9
     assert (camera_plausibility(models, SIZES) <= 1).all()
@@ -97,9 +92,6 @@ def test_the_image_that_is_covered_less_counts():
     wide = np.column_stack([np.arange(10) * 100.0, np.zeros(10)])
     close = np.column_stack([np.arange(10) * 5.0, np.zeros(10)])  # from 0 to 45: one cell
     assert (spread_of(wide, wide), spread_of(wide, close), spread_of(close, wide)) == (10, 1, 1)
-
-
-def test_no_match_covers_nothing():
     assert spread_of(np.empty((0, 2)), np.empty((0, 2))) == 0
 
 

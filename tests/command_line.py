@@ -1,0 +1,50 @@
+"""The command line with a stand-in for the library, for tests of the commands."""
+
+from typer.testing import CliRunner
+
+import epiprior
+from epiprior import RankedMatches
+from epiprior.cli import app
+from synthetic import make_estimate, make_pair
+
+PAIR = make_pair(seed=1)
+
+
+def run_command(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def one_line(result):
+    """The only line on stderr."""
+    (line,) = result.stderr.splitlines()
+    return line
+
+
+class FakeLibrary:
+    """Stands in for the library: notes how it is called, returns or raises what the test puts in."""
+
+    def __init__(self, monkeypatch):
+        self.calls = []
+        self.estimate, self.sets = make_estimate(PAIR), (PAIR.matches,)
+        for name, answer in (
+            ("estimate_fundamental", lambda: self.estimate),
+            ("rank_matches", self._ranked),
+            ("standard_matches", lambda: PAIR.matches),
+        ):
+            monkeypatch.setattr(epiprior, name, self._function(name, answer), raising=False)
+
+    def _ranked(self):
+        return RankedMatches(sets=self.sets, standard=PAIR.matches, seconds={}, preset="default")
+
+    def _function(self, name, answer):
+        def function(image1, image2, **options):
+            self.calls.append((name, options | {"images": (image1, image2)}))
+            if isinstance(found := answer(), Exception):
+                raise found
+            return found
+
+        return function
+
+    def options(self, name="estimate_fundamental"):
+        """The options of the last call of a function."""
+        return next(options for called, options in reversed(self.calls) if called == name)
