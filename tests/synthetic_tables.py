@@ -56,8 +56,7 @@ def photograph_tables(*, pairs: int = 6, seed: int = 0) -> Tables:
         for k in range(pairs):
             # Ids look like numbers: they must stay text.
             key = {"group": name, "pair_id": f"{k:04d}", "scene": f"0{k // 2}"}
-            labelled = k < pairs - 1 or name == "fox"
-            difficulty = difficulties[k % len(difficulties)] if labelled else ""
+            difficulty = difficulties[k % len(difficulties)] if (k < pairs - 1 or name == "fox") else ""
             records += _pair(rng, key, PHOTOGRAPH_INPUTS, difficulty, cameras=name != "strecha", apart=name in APART)
     return Tables.from_records(records)
 

@@ -61,8 +61,7 @@ def test_the_summary_counts_failures():
     assert found["scene_share"] == pytest.approx(by_scene.mean())
     final = tables.rankings.query("input == 'default' and ranking == 'final'")
     assert found["precision_100"] == pytest.approx(final["right_100"].mean() / 100)
-    unlabelled = replace(tables, rankings=tables.rankings[:0])
-    assert np.isnan(own.summarise(unlabelled)["precision_100"]).all()
+    assert np.isnan(own.summarise(replace(tables, rankings=tables.rankings[:0]))["precision_100"]).all()
     assert isinstance(own.summarise(tables), pd.DataFrame)
 
 

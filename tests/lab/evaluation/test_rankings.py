@@ -61,8 +61,7 @@ def test_a_ranking_is_walked_one_to_one():
 
 
 def test_records_of_a_pair(pairs, tiny_model, tmp_path):
-    names = ("standard", "snn", "generalized", "default")
-    [files] = inputs.store_matches(pairs[:1], names, tmp_path)
+    [files] = inputs.store_matches(pairs[:1], ("standard", "snn", "generalized", "default"), tmp_path)
     found = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=TruthSettings())
     assert [type(record) for record in found[:2]] == [PairRecord, RankingRecord]
     tables = Tables.from_records(found)
@@ -83,16 +82,13 @@ def test_records_of_a_pair(pairs, tiny_model, tmp_path):
     assert [ranking for _, ranking in table.index] == ["final"] * 3 + list(RANKINGS)
     ranked = rankings.best_hypothesis(rank_matches(pairs[0].image1, pairs[0].image2).sets)
     final, single = table.loc[("default", "final")], ranked.one_to_one()
-    assert final["matches"] == len(single)
-    assert final["right"] == final["right_10000"]
+    assert (final["matches"], final["right"]) == (len(single), final["right_10000"])
     assert final["right_100"] == pytest.approx(right(single)[:100].sum(), abs=2)
     assert table.loc[("snn", "final"), "right_10"] == 10
-
     bins = tables.calibration
     assert isinstance(found[-1], CalibrationRecord)
     assert (bins["input"] == "default").all()
-    assert bins["bin"].tolist() == list(range(20))
-    assert bins["count"].sum() == len(ranked)
+    assert (bins["bin"].tolist(), bins["count"].sum()) == (list(range(20)), len(ranked))
     assert bins["probability"].sum() == pytest.approx(ranked.probability.sum())
 
 

@@ -40,8 +40,7 @@ def test_names_stay_text_and_what_is_not_known_is_empty(tmp_path):
     pairs = Tables.read([tmp_path]).pairs
     assert pairs["pair_id"].iloc[0] == "0000"
     assert pairs.loc[pairs["labels"] == "", "right_share"].isna().all()
-    runs = Tables.read([tmp_path]).runs
-    assert runs["iterations"].dtype == "Int64"
+    assert Tables.read([tmp_path]).runs["iterations"].dtype == "Int64"
 
 
 def test_ranks_hold_what_is_reported():

@@ -30,14 +30,12 @@ def test_weights_by_pair_are_multinomial():
 
 
 def test_weights_by_scene_draw_whole_scenes():
-    groups = ["b", "a", "b", "c", "c", "c"]
-    weights = st.bootstrap_weights(6, draws=300, seed=2, groups=groups)
+    weights = st.bootstrap_weights(6, draws=300, seed=2, groups=["b", "a", "b", "c", "c", "c"])
     for row in weights:
         assert row[0] == row[2]
         assert row[3] == row[4] == row[5]
         counts = np.rint(row[[1, 0, 3]] / row[row > 0].min())
-        size = counts @ [1, 2, 3]
-        np.testing.assert_allclose(row[[1, 0, 3]], counts / size)
+        np.testing.assert_allclose(row[[1, 0, 3]], counts / (counts @ [1, 2, 3]))
     assert (weights[:, 1] == 0).any()
 
 

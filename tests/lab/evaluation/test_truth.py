@@ -34,8 +34,7 @@ def test_points_of_a_pair_with_cameras_only(tmp_path):
         assert (x >= 0).all()
         assert (x <= [WIDTH - 1, HEIGHT - 1]).all()
     assert np.ptp(x2, axis=0).min() > 300  # not all on one side
-    wrong = camera_pair(tmp_path, (-2.0, 1.3, 0.4)).fundamental()
-    assert sampson_distance(wrong, x1, x2).mean() > 10
+    assert sampson_distance(camera_pair(tmp_path, (-2.0, 1.3, 0.4)).fundamental(), x1, x2).mean() > 10
     truth = pair_truth(pair, TruthSettings())
     assert (truth.labels, truth.points) == ("epipolar", "cameras")
     np.testing.assert_allclose(truth.F, pair.fundamental())

@@ -47,15 +47,11 @@ def training(tmp_path):
 def test_the_library_loads_the_folder_and_its_manifest(training, tmp_path):
     export_model(training, tmp_path / "models" / "some", "paper")
     model = load_model(tmp_path / "models" / "some")
-    assert model.name == "some"
-    assert model.two_keypoint_columns == PAPER.two_keypoint_columns
-    assert model.match_columns == PAPER.match_columns
-    assert (model.match.a, model.match.b) == (0.5, 1.5)
+    assert (model.name, model.two_keypoint_columns) == ("some", PAPER.two_keypoint_columns)
+    assert (model.match_columns, model.match.a, model.match.b) == (PAPER.match_columns, 0.5, 1.5)
     manifest = model.manifest
-    assert manifest["preset"] == "paper"
-    assert manifest["match"]["family"] == "tree"
-    assert manifest["match"]["calibration"] == {"a": 0.5, "b": 1.5}
-    assert manifest["match"]["metrics"] == METRICS
+    assert (manifest["preset"], manifest["match"]["family"]) == ("paper", "tree")
+    assert (manifest["match"]["calibration"], manifest["match"]["metrics"]) == ({"a": 0.5, "b": 1.5}, METRICS)
     assert manifest["feature_parameters"]["two_keypoint_count"] == PAPER.two_keypoint_count
     assert manifest["feature_parameters"]["features"]["root"] is False
     assert manifest["training_data"] == TRAINING_DATA

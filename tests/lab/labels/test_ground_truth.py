@@ -66,9 +66,6 @@ def label(pair, x1, x2, sigma=2.0, **settings):
     return label_matches(pair, x1, x2, scale, scale, settings=LabelSettings(**settings))
 
 
-# --- labels from depth
-
-
 def test_true_matches_are_right_and_moved_ones_are_wrong(pair, points):
     x1, x2 = points
     assert label(pair, x1, x2).all()
@@ -140,9 +137,6 @@ def test_impossible_tolerances_are_refused(change):
         LabelSettings(**change)
 
 
-# --- labels without depth
-
-
 def test_without_depth_the_epipolar_line_decides(pair, points):
     x1, x2 = points
     without = dataclasses.replace(pair, depth_paths=None)
@@ -162,8 +156,7 @@ def with_points_only(pair, tmp_path, x1, x2):
 
 def test_control_points_alone_give_nearly_the_f_of_the_cameras(pair, points, tmp_path):
     rng = np.random.default_rng(0)
-    noisy = [x + rng.normal(0, 0.3, x.shape) for x in points]
-    only = with_points_only(pair, tmp_path, *noisy)
+    only = with_points_only(pair, tmp_path, *[x + rng.normal(0, 0.3, x.shape) for x in points])
     assert errors_px(reference_fundamental(only), *points).mean() < 0.3
     assert label(only, *points).mean() > 0.98
 
@@ -180,17 +173,12 @@ def test_cameras_with_one_centre_decide_nothing(pair):
         reference_fundamental(same)
 
 
-# --- control points
-
-
 def test_control_points_cover_the_whole_overlap(depths, points):
     x1, _ = points
-    assert len(x1) == 200
-    assert len(np.unique(x1, axis=0)) == 200
+    assert (len(x1), len(np.unique(x1, axis=0))) == (200, 200)
     dense, _ = control_points_from_depth(CAMERAS, depths, count=20_000, seed=0)
     for k in range(2):  # every tenth of the overlap's extent holds some
-        borders = np.quantile(dense[:, k], np.linspace(0, 1, 11))
-        counts, _ = np.histogram(x1[:, k], borders)
+        counts, _ = np.histogram(x1[:, k], np.quantile(dense[:, k], np.linspace(0, 1, 11)))
         assert counts.min() > 8, counts
 
 
@@ -219,13 +207,9 @@ def test_without_overlap_there_are_no_control_points(depths):
 
 
 def test_errors_are_sampson_distances(pair, points):
-    F = reference_fundamental(pair)
-    errors = errors_px(F, points[0], points[1] + [0.0, 2.0])
+    errors = errors_px(reference_fundamental(pair), points[0], points[1] + [0.0, 2.0])
     assert errors.shape == (200,)
     assert 0.3 < errors.mean() < 2.0
-
-
-# --- how views differ
 
 
 def test_differences_of_views_are_measured(depths):
@@ -252,9 +236,6 @@ def test_views_without_overlap_have_no_angle(depths):
     seen = view_difference(CAMERAS, (depths[0], np.full_like(depths[1], np.inf)))
     assert seen.overlap == 0
     assert np.isnan(seen.angle_deg)
-
-
-# --- the stages
 
 
 PARAMS = (stage.Path(__file__).parents[3] / "params.yaml").read_text(encoding="utf-8")

@@ -159,8 +159,7 @@ def test_rankings_over_x_l(both):
             assert row["gain_low"] <= row["gain"] <= row["gain_high"]
     ours = part[(part["input"] == "default") & (part["ranking"] == "final")]
     row = table.loc[("all", "default", "final")]
-    assert row["pairs"] == len(ours)
-    assert row["enough"] == (ours["right"] >= 15).mean()
+    assert (row["pairs"], row["enough"]) == (len(ours), (ours["right"] >= 15).mean())
     by_scene = (ours[right_column(10)] / 10).groupby([ours["group"], ours["scene"]]).mean().mean()
     assert row["scene_precision_10"] == pytest.approx(by_scene)
 
@@ -252,8 +251,7 @@ def test_a_cascade_takes_one_run_or_the_other(both):
 def test_classifiers_by_scene_and_by_row(study, study_report):
     table = study_report[0]["classifiers"].set_index(["preset", "target", "family", "metric"])
     row = table.loc[("default", "match", "svm", "accuracy")]
-    assert row["grouped"] == pytest.approx(0.6)
-    assert row["ungrouped"] == pytest.approx(0.68)
+    assert (row["grouped"], row["ungrouped"]) == (pytest.approx(0.6), pytest.approx(0.68))
     assert row["grouped_sd"] == pytest.approx(np.std([0, 0.01, 0.02, 0.03], ddof=1))
 
 

@@ -24,14 +24,7 @@ from epiprior_lab.scenes import FAMILIES, SceneError, pairs, render_pair, textur
 from epiprior_lab.scenes.camera_pairs import look_at
 from epiprior_lab.scenes.photography import encode_jpeg
 from epiprior_lab.scenes.render import Light, cast_shadows, render_depth, render_image
-from epiprior_lab.scenes.world import (
-    BOTH_VIEWS,
-    FIRST_VIEW,
-    SECOND_VIEW,
-    Frame,
-    WorldBuilder,
-    upright,
-)
+from epiprior_lab.scenes.world import BOTH_VIEWS, FIRST_VIEW, SECOND_VIEW, Frame, WorldBuilder, upright
 from epiprior_lab.stages.render import render, render_solvable
 from worlds import HEIGHT, OVERCAST_FROM_ASIDE, WIDTH, camera_at, coloured, no_shadows, room
 
@@ -51,9 +44,6 @@ def builder_of(*colours):
 def picture(world, camera, light=OVERCAST_FROM_ASIDE, view=BOTH_VIEWS):
     shadows = cast_shadows(world, light, np.array([0.0, 0.0, 5.0]), view=view)
     return render_image(world, camera, light, shadows, view=view)
-
-
-# --- geometry
 
 
 @pytest.fixture(scope="module")
@@ -138,8 +128,7 @@ def test_textures_are_the_right_way_round():
     upright(builder, Frame.facing((-3, 3, 8), 0.0), (0, 6), (0, 6), 0.0, texture=builder.texture(image))
     drawn = picture(builder.build(), plain_camera())
     assert drawn[30, 50, 0] > 240
-    assert drawn[30, 150, 0] == 0
-    assert drawn[120, 50, 0] == 0
+    assert (drawn[30, 150, 0], drawn[120, 50, 0]) == (0, 0)
 
 
 def test_a_far_fine_texture_fades_to_grey_instead_of_aliasing():
@@ -182,9 +171,6 @@ def test_the_sun_casts_shadows():
     column, row = camera.project(np.array([[0.0, 2.0, 8.0]]))[0][0].astype(int)  # below the slab
     assert drawn[row, column, 0] == pytest.approx(100, abs=3)
     assert drawn[row, column + 60, 0] == pytest.approx(200, abs=3)
-
-
-# --- pairs
 
 
 @pytest.mark.slow
@@ -301,14 +287,10 @@ def test_bad_arguments_are_refused():
         encode_jpeg(coloured(0), 0)
 
 
-# --- raw material
-
-
 def test_all_photographs_are_in_the_installed_packages():
     for name in textures._FILES:
         image = textures.photograph(name)
-        assert image.ndim == 3
-        assert image.dtype == np.uint8
+        assert (image.ndim, image.dtype) == (3, np.uint8)
     assert {*textures.PICTURES, *textures.SURFACES} <= textures._FILES.keys()
 
 

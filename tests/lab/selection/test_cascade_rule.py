@@ -131,8 +131,7 @@ def test_held_out_shares_show_a_rule_that_one_scene_decides():
         + [("bad", 0.4, 90.0, 1.0)]
     )
     found = learn_rule(runs, PARAMS, **AT)
-    assert found.rule.min_plausibility == 0.75
-    assert found.outcomes.loc[ALL, "lost"] == 0.0
+    assert (found.rule.min_plausibility, found.outcomes.loc[ALL, "lost"]) == (0.75, 0.0)
     assert found.outcomes.loc[ALL, "held_out_lost"] == pytest.approx(1 / 61)
 
 
@@ -152,8 +151,7 @@ def test_one_rule_serves_all_and_one_fooled_estimator_does_not_decide_alone():
 def test_the_trade_off_falls_from_one_end_to_the_other():
     runs = many_runs(seed=2).assign(plausibility=np.linspace(0, 0.99, 60))
     front = trade_off(runs, PARAMS, 10.0)
-    assert len(front) == 5
-    assert (front["preprocessed"].iloc[0], front["lost"].iloc[0]) == (1.0, 0.0)
+    assert (len(front), front["preprocessed"].iloc[0], front["lost"].iloc[0]) == (5, 1.0, 0.0)
     assert front["preprocessed"].iloc[-1] == 0.0
     assert (np.diff(front["preprocessed"]) < 0).all()
     assert (np.diff(front["lost"]) >= 0).all()

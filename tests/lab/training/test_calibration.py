@@ -17,8 +17,7 @@ def overconfident(size=20_000, seed=0):
 def test_platt_finds_the_distortion():
     said, labels, p = overconfident()
     platt = fit_platt(said, labels)
-    assert platt.a == pytest.approx(0.5, abs=0.02)
-    assert platt.b == pytest.approx(-0.5, abs=0.05)
+    assert (platt.a, platt.b) == (pytest.approx(0.5, abs=0.02), pytest.approx(-0.5, abs=0.05))
     assert np.abs(platt(said) - p).max() < 0.03
     before, after = (calibration_bins(each, labels).expected_calibration_error for each in (said, platt(said)))
     assert after < 0.01 < before
@@ -35,8 +34,7 @@ def test_the_sigmoid_is_that_of_unpenalised_logistic_regression():
 
 
 def test_platt_is_strictly_increasing_and_bounded():
-    p = np.linspace(0, 1, 1001)
-    calibrated = Platt(0.7, -0.3)(p)
+    calibrated = Platt(0.7, -0.3)(np.linspace(0, 1, 1001))
     assert (np.diff(calibrated) > 0).all()
     assert calibrated[0] > 0
     assert calibrated[-1] < 1

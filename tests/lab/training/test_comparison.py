@@ -34,9 +34,6 @@ PARAMS = TrainParams(
 )
 
 
-# --- samples
-
-
 def drawn():
     samples = [
         Sample.draw(
@@ -65,9 +62,6 @@ def test_the_digest_tells_rows_apart_and_survives_the_file(tmp_path):
     changed = drawn()
     changed.labels[3] = ~changed.labels[3]
     assert data.digest() != changed.digest()
-
-
-# --- both classifiers of two presets, on made-up rows
 
 
 @dataclass
@@ -160,8 +154,7 @@ def test_runs_to_track(trained):
             assert {name, f"{name}.deviation", f"calibrated.{name}"} <= run.metrics.keys()
         assert (f"ungrouped.{name}" in exported.metrics, f"ungrouped.{name}" in other.metrics) == (True, False)
     assert all(re.fullmatch(r"[\w./-]+", name) for name in exported.metrics)
-    assert exported.parameters["seed"] == 3
-    assert exported.parameters["rows"] == len(trained["paper"][1].data.rows)
+    assert (exported.parameters["seed"], exported.parameters["rows"]) == (3, len(trained["paper"][1].data.rows))
     assert [set(fold) >= set(METRICS) - {"precision"} for fold in exported.folds] == [True] * 3
     assert sorted(exported.figures) == ["importances.png", "precision_recall.png", "reliability.png"]
     assert sorted(other.figures) == ["precision_recall.png", "reliability.png"]
@@ -193,8 +186,7 @@ def test_curves_end_with_all_rows(trained):
     found = trained["paper"][1]
     rows = [r for r in table(curves_csv([found])) if (r["family"], r["grouped"]) == ("tree", "true")]
     curve = [r for r in rows if r["curve"] == "precision_recall"]
-    assert float(curve[-1]["x"]) == 1
-    assert int(curve[-1]["count"]) == len(found.data.labels)
+    assert (float(curve[-1]["x"]), int(curve[-1]["count"])) == (1, len(found.data.labels))
     assert float(curve[-1]["y"]) == pytest.approx(found.data.labels.mean(), abs=1e-5)
     assert float(curve[0]["y"]) > float(curve[-1]["y"])
     counts = [int(r["count"]) for r in rows if r["curve"] == "reliability_calibrated"]

@@ -18,9 +18,6 @@ def validate(family="lightgbm", by_scene=True, **changes):
     return cross_validate(family, ROWS, fold, by_scene=by_scene, seed=7, **changes)
 
 
-# --- folds
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_no_scene_is_in_two_folds(seed):
     fold = folds_by_scene(ROWS.labels, ROWS.scene, 5, seed)
@@ -36,9 +33,7 @@ def test_fewer_scenes_than_folds_are_refused():
 
 def test_every_fold_gets_a_scene_where_sizes_are_uneven():
     scene = np.repeat([f"{i}" for i in range(6)], [5000, 10, 10, 10, 10, 10])
-    labels = np.arange(len(scene)) % 7 == 0
-    fold = folds_by_scene(labels, scene, 6, 0)
-    assert len(np.unique(fold)) == 6
+    assert len(np.unique(folds_by_scene((np.arange(len(scene)) % 7 == 0), scene, 6, 0))) == 6
 
 
 def test_folds_by_row_split_scenes_and_balance_classes():
@@ -48,9 +43,6 @@ def test_folds_by_row_split_scenes_and_balance_classes():
     assert len(np.unique(fold[ROWS.scene == "scene-00"])) == 10
     with pytest.raises(TrainingError, match="rarer class"):
         folds_by_row(np.arange(100) < 3, 10, 0)
-
-
-# --- cross-validation
 
 
 def test_a_classifier_never_sees_the_scenes_that_it_is_measured_on(monkeypatch):
@@ -88,8 +80,7 @@ def test_everything_but_times_is_the_same_again():
     first, second = validate("random-forest", max_rows=500), validate("random-forest", max_rows=500)
     np.testing.assert_array_equal(first.probability, second.probability)
     np.testing.assert_array_equal(first.calibrated, second.calibrated)
-    assert first.metrics == second.metrics
-    assert first.fold_metrics == second.fold_metrics
+    assert (first.metrics, first.fold_metrics) == (second.metrics, second.fold_metrics)
 
 
 def test_out_of_fold_probabilities_are_those_of_the_classifiers_that_are_kept():

@@ -20,8 +20,7 @@ ROWS = make_rows()
 def test_every_family_ranks_right_rows_first(family):
     fitted = fit(family, ROWS.rows, ROWS.labels, seed=1)
     probability = fitted.probability(ROWS.rows)
-    assert probability.dtype == np.float64
-    assert probability.shape == ROWS.labels.shape
+    assert (probability.dtype, probability.shape) == (np.float64, ROWS.labels.shape)
     assert probability.min() >= 0
     assert probability.max() <= 1
     assert probability[ROWS.labels].mean() > probability[~ROWS.labels].mean() + 0.2
