@@ -22,13 +22,18 @@ ROWS = make_rows(900)
 def run_of(target="two_keypoint", family="tree"):
     """An exported tree with a model, or another family without."""
     exported = family == "tree"
+    tags = {"preset": "paper", "family": family, "exported": str(exported).lower()}
+    metrics = {"log_loss": 0.25, "log_loss.deviation": float("nan")}
+    values = {
+        "parameters": {"folds": 3},
+        "folds": [{"log_loss": number / 10} for number in range(3)],
+        "rows": ROWS.rows[:5],
+    }
+    onnx = to_onnx(fit("tree", ROWS.rows, ROWS.labels, seed=1)) if exported else None
+    pictures = {"reliability.png": Figure()}
     return Run(
-        experiment=target, name=f"paper-{family}", parameters={"folds": 3}, figures={"reliability.png": Figure()},
-        tags={"preset": "paper", "family": family, "exported": str(exported).lower()},
-        metrics={"log_loss": 0.25, "log_loss.deviation": float("nan")},
-        folds=[{"log_loss": number / 10} for number in range(3)], rows=ROWS.rows[:5],
-        onnx=to_onnx(fit("tree", ROWS.rows, ROWS.labels, seed=1)) if exported else None,
-    )  # fmt: skip
+        experiment=target, name=f"paper-{family}", tags=tags, metrics=metrics, figures=pictures, onnx=onnx, **values
+    )
 
 
 @pytest.fixture(scope="module")

@@ -71,11 +71,9 @@ def test_successes_equal_counts_by_hand(both, threshold):
 
 
 def test_one_scene_has_a_value_and_no_interval(photographs):
-    one = {name: getattr(photographs.results.tables, name) for name in ("pairs", "runs", "rankings", "calibration")}
-    fox = Tables(
-        **{name: table[table["group"] == "fox"].assign(scene="a").reset_index(drop=True) for name, table in one.items()}
-    )
-    results = read_results(fox, photographs.params)
+    keep = vars(photographs.results.tables).items()
+    one = {name: table[table["group"] == "fox"].assign(scene="a").reset_index(drop=True) for name, table in keep}
+    results = read_results(Tables(**one), photographs.params)
     at = tables.success_table(results, (10.0,))
     at = at[(at["group"] == "fox") & (at["input"] == "default")]
     assert at[["gain", "scene_gain"]].notna().all(axis=None)
@@ -83,7 +81,9 @@ def test_one_scene_has_a_value_and_no_interval(photographs):
     assert tables.ranking_table(results)["gain_low"].isna().all()
 
 
-def test_an_estimator_without_a_baseline_is_named(study):
+def test_an_absent_champion_and_an_estimator_without_a_baseline_are_named(study):
+    with pytest.raises(ReportError, match="no results of degensac, only of usac"):
+        tables.duel_table(study.results, "degensac", (10.0,))
     runs = study.results.tables.runs
     kept = runs[~((runs["estimator"] == "prosac") & (runs["input"] == "standard"))]
     without = Tables(**{**vars(study.results.tables), "runs": kept})
@@ -119,11 +119,6 @@ def test_an_interval_that_touches_zero_but_for_rounding_decides_nothing(study, l
     cells = study.results.interval("x", interval, study.results.masks["all"], 40.0)
     ends = (cells["x_low"], cells["x_high"])
     assert ends == tuple(0.0 if abs(end) < 1e-9 else 40 * end for end in (low, high))
-
-
-def test_an_absent_champion_is_named(study):
-    with pytest.raises(ReportError, match="no results of degensac, only of usac"):
-        tables.duel_table(study.results, "degensac", (10.0,))
 
 
 def test_poses_and_distances_count_only_pairs_that_have_them(photographs, photograph_report):
