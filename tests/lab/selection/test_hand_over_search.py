@@ -26,15 +26,13 @@ PARAMS = HandOverParams(
 SEARCHED = {"usac": ("standard", "default"), "prosac": ("standard", "default"), "epiprior": ("generalized", "default")}
 
 
-class FakeFiles:
-    """Matches of one pair: none of each input."""
-
-    def only(self, names):
-        return self
-
-    def read(self):
-        names = ("standard", "snn", "generalized", "default")
-        return inputs.PairMatches(sets=dict.fromkeys(names, ()), pixel_factors=(1.0, 1.0))
+def fake_files():
+    """Return matches of one pair: none of each input."""
+    names = ("standard", "snn", "generalized", "default")
+    matches = inputs.PairMatches(sets=dict.fromkeys(names, ()), pixel_factors=(1.0, 1.0))
+    files = SimpleNamespace(paths={}, read=lambda: matches)
+    files.only = lambda names: files
+    return files
 
 
 @pytest.fixture
@@ -53,7 +51,7 @@ def search(monkeypatch):
 
     for name, fake in {
         "map_tasks": lambda function, tasks, **_: [function(**task.payload) for task in tasks],
-        "store_matches": lambda pairs, *_, **__: [FakeFiles() for _ in pairs],
+        "store_matches": lambda pairs, *_, **__: [fake_files() for _ in pairs],
         "errors_px": lambda F, *points: np.array([F]),
         "_effect": lambda matches, name, how: how,
     }.items():

@@ -1,3 +1,5 @@
+"""Platt scaling, and its cross-validation."""
+
 import numpy as np
 import pytest
 from scipy.special import expit, logit

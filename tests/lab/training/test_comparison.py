@@ -1,9 +1,11 @@
+"""Comparison of all families on both classifiers of both presets, on made-up rows; tables and tracked runs."""
+
 import csv
 import io
 import json
 import pickle
 import re
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,11 +37,10 @@ PARAMS = TrainParams(
 
 
 def drawn():
+    parts = zip(ROWS.scenes.tolist(), ROWS.pairs.tolist(), ROWS.slices, strict=True)
     samples = [
-        Sample.draw(
-            scene=str(scene), pair=str(pair), rows=ROWS.rows[rows], labels=ROWS.labels[rows], most=100, seed=number
-        )
-        for number, (scene, pair, rows) in enumerate(zip(ROWS.scenes, ROWS.pairs, ROWS.slices, strict=True))
+        Sample.draw(scene=scene, pair=pair, rows=ROWS.rows[rows], labels=ROWS.labels[rows], most=100, seed=number)
+        for number, (scene, pair, rows) in enumerate(parts)
     ]
     return TargetRows.stack("match", COLUMNS, samples)
 
@@ -64,26 +65,9 @@ def test_the_digest_tells_rows_apart_and_survives_the_file(tmp_path):
     assert data.digest() != changed.digest()
 
 
-@dataclass
-class FakeTwoKeypoints:
-    descriptors: np.ndarray
-
-    def select(self, columns):
-        return wide(self.descriptors, columns)
-
-
 def wide(rows, columns):
     """Repeat columns until there are as many as names."""
     return np.tile(rows, (1, len(columns)))[:, : len(columns)].astype(np.float32)
-
-
-@dataclass
-class FakeRows:
-    preset: str
-    pair: str
-    scene: str
-    two_keypoints: FakeTwoKeypoints
-    two_keypoint_labels: np.ndarray
 
 
 def train_in(root, votes):
@@ -96,13 +80,14 @@ def train_in(root, votes):
 
     def read_rows(file):
         rows = ROWS.slices[ROWS.pairs.tolist().index(file.stem)]
-        found = FakeTwoKeypoints(ROWS.rows[rows])
-        return FakeRows(file.parent.name, file.stem, file.stem[:-2], found, ROWS.labels[rows])
+        found = SimpleNamespace(select=lambda columns: wide(ROWS.rows[rows], columns))
+        about = {"preset": file.parent.name, "pair": file.stem, "scene": file.stem[:-2]}
+        return SimpleNamespace(**about, rows=rows, two_keypoints=found, two_keypoint_labels=ROWS.labels[rows])
 
-    def match_rows(rows, probability):
-        votes[rows.preset, rows.pair] = probability
-        described = np.column_stack([probability, rows.two_keypoints.descriptors])
-        return wide(described, find_preset(rows.preset).match_columns), rows.two_keypoint_labels
+    def match_rows(found, probability):
+        votes[found.preset, found.pair] = probability
+        described = np.column_stack([probability, ROWS.rows[found.rows]])
+        return wide(described, find_preset(found.preset).match_columns), found.two_keypoint_labels
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "read_rows", read_rows)
@@ -154,10 +139,11 @@ def test_runs_to_track(trained):
             assert {name, f"{name}.deviation", f"calibrated.{name}"} <= run.metrics.keys()
         assert (f"ungrouped.{name}" in exported.metrics, f"ungrouped.{name}" in other.metrics) == (True, False)
     assert all(re.fullmatch(r"[\w./-]+", name) for name in exported.metrics)
-    assert (exported.parameters["seed"], exported.parameters["rows"]) == (3, len(trained["paper"][1].data.rows))
+    rows = len(trained["paper"][1].data.rows)
+    assert (exported.parameters["seed"], exported.parameters["rows"]) == (3, rows)
     assert [set(fold) >= set(METRICS) - {"precision"} for fold in exported.folds] == [True] * 3
-    assert sorted(exported.figures) == ["importances.png", "precision_recall.png", "reliability.png"]
-    assert sorted(other.figures) == ["precision_recall.png", "reliability.png"]
+    figures = ["precision_recall.png", "reliability.png"]
+    assert (sorted(exported.figures), sorted(other.figures)) == (["importances.png", *figures], figures)
     assert (exported.onnx, other.onnx) == (trained["paper"][1].refit.onnx, None)
     assert exported.rows.shape == (5, 3)
 

@@ -1,3 +1,5 @@
+"""Metrics of rows and of pairs, by hand."""
+
 import numpy as np
 import pytest
 from sklearn.metrics import average_precision_score

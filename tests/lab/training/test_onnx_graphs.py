@@ -1,3 +1,5 @@
+"""Exported graphs predict what was fitted."""
+
 import lightgbm
 import numpy as np
 import onnx
