@@ -5,14 +5,8 @@ import pytest
 
 from epiprior.errors import SettingsError
 from epiprior.geometry import sampson_distance
-from epiprior_lab.evaluation.truth import (
-    TruthSettings,
-    evaluation_points,
-    on_one_plane,
-    pair_truth,
-    true_roll_deg,
-    truth_settings,
-)
+from epiprior_lab.evaluation import truth as known
+from epiprior_lab.evaluation.truth import TruthSettings, evaluation_points, on_one_plane, pair_truth
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.pairsets import DatasetError, read_pair_set
 from epiprior_lab.params import TruthParams
@@ -82,7 +76,7 @@ def test_difficulty_follows_the_share_of_right_matches():
 def test_settings_of_a_parameter_file():
     labels = {"tolerance_px": 2.0, "tolerance_sigma": 0.25, "depth_tolerance": 0.03, "epipolar_px": 1.5}
     own = {"plane_px": 4.0, "easy_share": 0.6, "hard_share": 0.1}
-    found = truth_settings(TruthParams(**labels, **own, one_plane=None))
+    found = known.truth_settings(TruthParams(**labels, **own, one_plane=None))
     assert found == TruthSettings(labels=LabelSettings(**labels), one_plane=(), **own)
 
 
@@ -96,4 +90,4 @@ def test_true_roll_turns_directions_of_the_image(degrees, tmp_path):
     (p, _), (q, _) = (pair.camera2.project(point[None]) for point in (ahead, right))
     step = (q - p)[0]
     assert np.degrees(np.arctan2(step[1], step[0])) == pytest.approx(degrees, abs=1e-6)
-    assert true_roll_deg(pair) == pytest.approx(degrees)
+    assert known.true_roll_deg(pair) == pytest.approx(degrees)

@@ -8,23 +8,10 @@ import pytest
 import yaml
 
 from epiprior.errors import FeatureError, SettingsError
-from epiprior_lab.labels.ground_truth import (
-    LabelSettings,
-    control_points_from_depth,
-    errors_px,
-    label_matches,
-    reference_fundamental,
-)
-from epiprior_lab.pairsets import (
-    DatasetError,
-    Pair,
-    depth_at,
-    encode_depth,
-    read_pair_set,
-    reproject,
-    view_difference,
-    write_control_points,
-)
+from epiprior_lab import pairsets
+from epiprior_lab.labels import ground_truth
+from epiprior_lab.labels.ground_truth import LabelSettings, errors_px, label_matches, reference_fundamental
+from epiprior_lab.pairsets import DatasetError, Pair, depth_at, encode_depth, read_pair_set, reproject, view_difference
 from epiprior_lab.scenes.render import render_depth
 from epiprior_lab.stages import ground_truth as stage
 from epiprior_lab.stages import render as render_stage
@@ -50,7 +37,7 @@ def pair(tmp_path, depths):
 
 @pytest.fixture(scope="module")
 def points(depths):
-    return control_points_from_depth(CAMERAS, depths, count=200, seed=1)
+    return ground_truth.control_points_from_depth(CAMERAS, depths, count=200, seed=1)
 
 
 def label(pair, x1, x2, sigma=2.0, **settings):
@@ -136,7 +123,7 @@ def test_without_depth_the_epipolar_line_decides(pair, points):
 
 
 def with_points_only(pair, tmp_path, x1, x2):
-    write_control_points(tmp_path / "p.csv", x1, x2)
+    pairsets.write_control_points(tmp_path / "p.csv", x1, x2)
     return dataclasses.replace(
         pair, camera1=None, camera2=None, depth_paths=None, control_points_path=tmp_path / "p.csv"
     )
@@ -158,15 +145,17 @@ def test_control_points_alone_give_nearly_the_f_of_the_cameras(pair, points, tmp
 def test_control_points_cover_the_whole_overlap_and_depend_on_the_seed_alone(depths, points):
     x1, _ = points
     assert len(x1) == len(np.unique(x1, axis=0)) == 200
-    dense, _ = control_points_from_depth(CAMERAS, depths, count=20_000, seed=0)
+    dense, _ = ground_truth.control_points_from_depth(CAMERAS, depths, count=20_000, seed=0)
     for k in range(2):  # every tenth of the overlap's extent holds some
         counts, _ = np.histogram(x1[:, k], np.quantile(dense[:, k], np.linspace(0, 1, 11)))
         assert counts.min() > 8, counts
-    first, again, other = (control_points_from_depth(CAMERAS, depths, count=50, seed=s) for s in (3, 3, 4))
+    first, again, other = (ground_truth.control_points_from_depth(CAMERAS, depths, count=50, seed=s) for s in (3, 3, 4))
     np.testing.assert_array_equal(first[1], again[1])
     assert not np.array_equal(first[0], other[0])
     nothing = np.full_like(depths[0], np.inf)
-    assert [len(x) for x in control_points_from_depth(CAMERAS, (depths[0], nothing), count=50, seed=0)] == [0, 0]
+    assert [
+        len(x) for x in ground_truth.control_points_from_depth(CAMERAS, (depths[0], nothing), count=50, seed=0)
+    ] == [0, 0]
 
 
 def test_depth_between_pixels_is_exact_on_a_plane_and_unmixed_at_a_rim():

@@ -6,26 +6,10 @@ import pytest
 from PIL import Image as PillowImage
 
 from epiprior.geometry import sampson_distance
-from epiprior_lab.pairsets import (
-    Camera,
-    DatasetError,
-    PairFiles,
-    check_pair_set,
-    encode_depth,
-    fundamental_from_cameras,
-    image_size,
-    known_sets,
-    npz_bytes,
-    read_depth,
-    read_pair_set,
-    reproject,
-    transfer,
-    transfer_distance,
-    write_control_points,
-    write_pair_set,
-)
-from epiprior_lab.pairsets.cameras import CameraError
-from epiprior_lab.pairsets.files import write_matrix
+from epiprior_lab import pairsets
+from epiprior_lab.pairsets import PairFiles, check_pair_set, known_sets, read_pair_set, transfer, transfer_distance
+from epiprior_lab.pairsets.cameras import Camera, CameraError, fundamental_from_cameras, reproject
+from epiprior_lab.pairsets.files import DatasetError, encode_depth, image_size, npz_bytes, read_depth, write_matrix
 from epiprior_lab.scenes.photography import encode_jpeg
 from worlds import HEIGHT, WIDTH, camera_at
 
@@ -41,7 +25,7 @@ def files(pair_id="p", **changes):
 
 @pytest.fixture
 def root(tmp_path):
-    write_pair_set(tmp_path / "family", [files("p"), files("q")])
+    pairsets.write_pair_set(tmp_path / "family", [files("p"), files("q")])
     return tmp_path / "family"
 
 
@@ -66,7 +50,7 @@ def test_what_is_written_is_read_back(root, tmp_path):
     np.testing.assert_allclose(depth1[50], np.linspace(2, 30, WIDTH), rtol=1e-5)
     assert len(pair.files) == 4
     assert all(path.is_file() for path in pair.files)
-    write_pair_set(tmp_path / "again", [files("p"), files("q")])  # gives the same bytes
+    pairsets.write_pair_set(tmp_path / "again", [files("p"), files("q")])  # gives the same bytes
     for path in sorted(root.rglob("*.*")):
         assert path.read_bytes() == (tmp_path / "again" / path.relative_to(root)).read_bytes(), path
     (root / "depth" / "q_2.npz").unlink()
@@ -82,13 +66,13 @@ def test_control_points_are_found_in_the_set_or_in_another_folder(root, tmp_path
     x2 = np.round(x2, 6)
     with pytest.raises(DatasetError, match=r"'p' of .* has no control points"):
         read_pair_set(root).pairs[0].control_points()
-    write_control_points(tmp_path / "points" / "p.csv", x1, x2)
+    pairsets.write_control_points(tmp_path / "points" / "p.csv", x1, x2)
     pair = read_pair_set(root, tmp_path / "points").pairs[0]
     np.testing.assert_array_equal(pair.control_points()[0], x1)
     np.testing.assert_array_equal(pair.control_points()[1], x2)
     with pytest.raises(DatasetError, match="nowhere"):
         read_pair_set(root, tmp_path / "nowhere")
-    write_control_points(root / "control_points" / "p.csv", np.empty((0, 2)), np.empty((0, 2)))
+    pairsets.write_control_points(root / "control_points" / "p.csv", np.empty((0, 2)), np.empty((0, 2)))
     assert [x.shape for x in read_pair_set(root).pairs[0].control_points()] == [(0, 2), (0, 2)]
 
 
@@ -165,9 +149,9 @@ def test_control_points_are_checked_when_a_set_is_read(root):
         read_pair_set(root)
     x1 = np.random.default_rng(0).uniform(60, 180, (20, 2))
     x2, _ = reproject(camera_at(-1.0), camera_at(1.5, roll_deg=10), x1, np.linspace(9, 14, 20))
-    write_control_points(points, x1, x2)
+    pairsets.write_control_points(points, x1, x2)
     read_pair_set(root)
-    write_control_points(points, x2, x1)
+    pairsets.write_control_points(points, x2, x1)
     with pytest.raises(DatasetError, match=r"pairs\.csv, line 2: the F of the cameras .* its control points .*p\.csv"):
         read_pair_set(root)
 
@@ -185,8 +169,8 @@ def test_an_image_of_another_size_than_its_camera_is_named(root):
             read_pair_set(root)
 
 
-@pytest.mark.parametrize("kind", ["homography", "fundamental"])
-def test_a_matrix_as_ground_truth(root, kind):
+@pytest.mark.parametrize(("kind", "truth"), [("homography", "plane"), ("fundamental", "epipolar")])
+def test_a_matrix_as_ground_truth(root, kind, truth):
     replace_in(root / "pairs.csv", ",cameras,", f",{kind},")
     with pytest.raises(DatasetError, match=rf"pairs\.csv, line 2: no {kind} .*p\.txt"):
         read_pair_set(root)
@@ -195,27 +179,25 @@ def test_a_matrix_as_ground_truth(root, kind):
     path.write_text("0 0 0\n0 0 -1\n0 0 1\n")
     with pytest.raises(DatasetError, match=r"p\.txt: the matrix (is singular|has a rank below 2)"):
         read_pair_set(root)
-    matrix = np.array([[0.9, 0.1, 20.0], [-0.1, 1.1, 3.0], [1e-4, 0, 1.0]])
-    if kind == "fundamental":
-        matrix = fundamental_from_cameras(camera_at(-1.0), camera_at(1.5))
+    cameras, x1 = (camera_at(-1.0), camera_at(1.5)), np.random.default_rng(0).uniform(80, 160, (20, 2))
+    if kind == "homography":
+        matrix = np.array([[0.9, 0.1, 20.0], [-0.1, 1.1, 3.0], [1e-4, 0, 1.0]])
+        x2 = transfer(matrix, x1)
+    else:
+        matrix = fundamental_from_cameras(*cameras)
+        x2, _ = reproject(*cameras, x1, np.linspace(9, 14, 20))
     write_matrix(path, -5 * matrix)
     pair, other = read_pair_set(root).pairs
     got = getattr(pair, kind)()
     np.testing.assert_allclose(got / got[2, 2], matrix / matrix[2, 2], atol=1e-12)
-    assert pair.camera1 is None
+    assert (pair.camera1, other.homography()) == (None, None)
+    assert (pair.truth, other.truth) == (truth, "3D")
     assert path in pair.files
-    assert (pair.truth, other.truth) == ("plane" if kind == "homography" else "epipolar", "3D")
-    assert other.homography() is None
     assert pair.sizes() == ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
     # Control points must fit it.
-    x1 = np.random.default_rng(0).uniform(80, 160, (20, 2))
-    if kind == "homography":
-        x2 = transfer(matrix, x1)
-    else:
-        x2, _ = reproject(camera_at(-1.0), camera_at(1.5), x1, np.linspace(9, 14, 20))
-    write_control_points(root / "control_points" / "p.csv", x1, x2)
+    pairsets.write_control_points(root / "control_points" / "p.csv", x1, x2)
     read_pair_set(root)
-    write_control_points(root / "control_points" / "p.csv", x1, x2 + [0.0, 8.0])
+    pairsets.write_control_points(root / "control_points" / "p.csv", x1, x2 + [0.0, 8.0])
     with pytest.raises(DatasetError, match=rf"pairs\.csv, line 2: the ({kind}|F) .*p\.txt of pair 'p' .*p\.csv"):
         read_pair_set(root)
 
@@ -258,7 +240,7 @@ def test_a_folder_that_is_no_pair_set_is_named(tmp_path):
             read_pair_set(tmp_path)
     for pairs in ([], [files("p"), files("p")]):
         with pytest.raises(DatasetError, match="pair ids"):
-            write_pair_set(tmp_path / "set", pairs)
+            pairsets.write_pair_set(tmp_path / "set", pairs)
 
 
 def test_reprojection_there_and_back():

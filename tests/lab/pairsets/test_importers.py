@@ -13,16 +13,8 @@ from epiprior.errors import EpipriorError, ImageError, OutputError
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior_lab.cli import app
 from epiprior_lab.labels.ground_truth import label_matches, reference_fundamental
-from epiprior_lab.pairsets import DatasetError, fundamental_from_cameras, known_sets, read_pair_set, transfer
-from epiprior_lab.pairsets.importers import (
-    FoundPair,
-    Photograph,
-    find_match_files,
-    find_pairs,
-    find_sequences,
-    find_usac,
-    write_found,
-)
+from epiprior_lab.pairsets import DatasetError, fundamental_from_cameras, importers, known_sets, read_pair_set, transfer
+from epiprior_lab.pairsets.importers import find_match_files, find_pairs, find_sequences, find_usac, write_found
 from epiprior_lab.pairsets.importers.output import shrinking
 from epiprior_lab.pairsets.importers.sources import read_rows
 from pictures import save, texture
@@ -357,8 +349,8 @@ def test_smaller_images_take_everything_with_them(tmp_path):
     (x1, x2), F = matches(), fundamental_from_cameras(*CAMERAS)
     grow = shrinking((320, 240), (640, 480))
     points, matrix = (transfer(grow, x1), x2), F @ np.linalg.inv(grow)
-    photographs = {name: Photograph(name=path.stem, path=path) for name, path in images.items()}
-    pair = FoundPair(pair_id="p", scene="s", **photographs, points=points, fundamental=matrix)
+    photographs = {name: importers.Photograph(name=path.stem, path=path) for name, path in images.items()}
+    pair = importers.FoundPair(pair_id="p", scene="s", **photographs, points=points, fundamental=matrix)
     write_found(tmp_path / "set", [pair], max_side=320)
     (got,) = read_pair_set(tmp_path / "set").pairs
     assert got.sizes() == ((320, 240), (320, 240))
@@ -370,7 +362,7 @@ def test_a_pair_set_is_not_overwritten_and_photographs_do_not_share_a_name(kusvo
     with pytest.raises(OutputError, match="exists already"):
         write_found(kusvod2, find_match_files("kusvod2", kusvod2))
     (pair,) = find_match_files("kusvod2", kusvod2)
-    same = dataclasses.replace(pair, pair_id="other", image1=Photograph(name="shoutA", path=pair.image2.path))
+    same = dataclasses.replace(pair, pair_id="other", image1=importers.Photograph(name="shoutA", path=pair.image2.path))
     with pytest.raises(DatasetError, match=r"shoutA\.png and .*shoutB\.png would both become images/shoutA"):
         write_found(tmp_path / "set", [pair, same])
     with pytest.raises(DatasetError, match="no pair was found"):
@@ -390,7 +382,7 @@ def test_names_of_any_bytes_are_kept_and_files_of_macos_are_skipped(kusvod2, tmp
 def test_images_and_names_are_checked_before_anything_is_written(kusvod2, tmp_path):
     (pair,) = find_match_files("kusvod2", kusvod2)
     (tmp_path / "broken.png").write_bytes(pair.image1.path.read_bytes()[:60])
-    broken = Photograph(name="broken", path=tmp_path / "broken.png")
+    broken = importers.Photograph(name="broken", path=tmp_path / "broken.png")
     for change, kind, message in (
         ({"image2": broken}, ImageError, r"broken\.png: not an image"),
         ({"pair_id": "a/b"}, DatasetError, "pair 'a/b'"),
@@ -402,25 +394,23 @@ def test_images_and_names_are_checked_before_anything_is_written(kusvod2, tmp_pa
 
 
 def test_commands(kusvod2, tmp_path):
-    run = CliRunner().invoke(app, ["import", "kusvod2", str(kusvod2), "--out", str(tmp_path / "real/kusvod2")])
-    assert run.exit_code == 0, run.output
-    assert "1 pair of 1 scene" in run.stdout
-    run = CliRunner().invoke(app, ["check-set", str(tmp_path / "real/kusvod2")])
-    assert "1 pair of 1 scene, truth: epipolar" in run.stdout
-    run = CliRunner().invoke(app, ["sets", str(tmp_path / "real")])
-    assert run.stdout.count("not present") == len(known_sets()) - 1
-    assert str(sum(known.pairs for known in known_sets(paper=True))) == "883"
+    def run(*arguments):
+        return CliRunner().invoke(app, [*map(str, arguments)])
+
+    real = tmp_path / "real"
+    done = run("import", "kusvod2", kusvod2, "--out", real / "kusvod2")
+    assert done.exit_code == 0, done.output
+    assert "1 pair of 1 scene" in done.stdout
+    assert "1 pair of 1 scene, truth: epipolar" in run("check-set", real / "kusvod2").stdout
+    assert run("sets", real).stdout.count("not present") == len(known_sets()) - 1
+    assert sum(known.pairs for known in known_sets(paper=True)) == 883
     for source in ("colmap", "strecha", "adelaidermf", "oxford", "hpatches", "usac", "pairs", "photos"):
-        run = CliRunner().invoke(app, ["import", source, str(tmp_path / "nowhere"), "--out", str(tmp_path / "x")])
-        assert isinstance(run.exception, EpipriorError), source
-        assert "nowhere" in str(run.exception)
-
-
-def test_check_set_reads_images_too(kusvod2, tmp_path):
-    write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2))
-    image = tmp_path / "set/images/shoutB.png"
+        done = run("import", source, tmp_path / "nowhere", "--out", tmp_path / "x")
+        assert isinstance(done.exception, EpipriorError), source
+        assert "nowhere" in str(done.exception)
+    image = real / "kusvod2" / "images" / "shoutB.png"
     image.write_bytes(image.read_bytes()[:200])
-    read_pair_set(tmp_path / "set")
-    run = CliRunner().invoke(app, ["check-set", str(tmp_path / "set")])
-    assert isinstance(run.exception, ImageError)
-    assert "shoutB.png" in str(run.exception)
+    read_pair_set(real / "kusvod2")
+    done = run("check-set", real / "kusvod2")  # reads images too
+    assert isinstance(done.exception, ImageError)
+    assert "shoutB.png" in str(done.exception)

@@ -7,19 +7,12 @@ import numpy as np
 import pytest
 
 from epiprior.errors import ImageError, SettingsError
+from epiprior_lab import pairsets
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.labels.ground_truth import LabelSettings, control_points_from_depth, errors_px
 from epiprior_lab.labels.solvable import right_among_putative
-from epiprior_lab.pairsets import (
-    Camera,
-    encode_depth,
-    fundamental_from_cameras,
-    read_pair_set,
-    reproject,
-    view_difference,
-    write_pair_set,
-)
+from epiprior_lab.pairsets import Camera, encode_depth, fundamental_from_cameras, read_pair_set, reproject
 from epiprior_lab.scenes import FAMILIES, SceneError, pairs, render_pair, textures
 from epiprior_lab.scenes.camera_pairs import look_at
 from epiprior_lab.scenes.photography import encode_jpeg
@@ -179,7 +172,7 @@ def test_pairs_keep_the_bounds_of_their_family_and_their_points_the_epipolar_lin
     x1, x2 = control_points_from_depth(cameras, depths, count=100, seed=0)
     assert len(x1) == 100
     assert errors_px(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-6
-    seen = view_difference(cameras, depths, step=2)
+    seen = pairsets.view_difference(cameras, depths, step=2)
     # Bounds were checked on depth maps of an eighth of the size.
     assert settings.angle_deg[0] - 2 <= seen.angle_deg <= settings.angle_deg[1] + 2
     assert settings.overlap[0] - 0.1 <= seen.overlap <= settings.overlap[1] + 0.1
@@ -228,7 +221,7 @@ def test_a_pair_with_too_few_right_matches_is_drawn_anew(monkeypatch):
 @pytest.mark.slow
 def test_right_matches_are_counted_by_depth(tmp_path):
     size = {"family": "facades-easy", "width": 512, "height": 384, "jpeg_quality": 92}
-    write_pair_set(tmp_path, [render(pair_id="p", seed=3, **size)])
+    pairsets.write_pair_set(tmp_path, [render(pair_id="p", seed=3, **size)])
     pair = read_pair_set(tmp_path).pairs[0]
     count = right_among_putative(pair, LabelSettings())
     assert count > 50

@@ -9,15 +9,7 @@ import pytest
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
 from epiprior_lab.selection import cascade_rule
-from epiprior_lab.selection.cascade_rule import (
-    ALL,
-    NEVER,
-    cascade_errors,
-    kept_runs,
-    learn_rule,
-    lost_runs,
-    paired_runs,
-)
+from epiprior_lab.selection.cascade_rule import ALL, NEVER, cascade_errors, kept_runs, learn_rule, lost_runs
 from synthetic_tables import study_tables
 
 PARAMS = CascadeParams(seeds=(0,), tolerance=0.01, strict_tolerance=0.01, min_plausibility=(0.0, 0.25, 0.5, 0.75))
@@ -36,7 +28,7 @@ def runs_of(rows, estimator="usac"):
 
 def test_runs_are_paired_and_other_inputs_left_out():
     runs = study_tables(pairs=2).runs
-    got = paired_runs(runs)
+    got = cascade_rule.paired_runs(runs)
     keys = ["group", "pair_id", "estimator", "seed"]
     assert len(got) == 2 * 2 * 4 * 3
     both = runs.set_index([*keys, "input"])
@@ -48,7 +40,7 @@ def test_runs_are_paired_and_other_inputs_left_out():
         assert row.without_px == (INF if np.isnan(first["error_px"]) else first["error_px"])  # whatever its status
         assert row.with_px == (INF if np.isnan(second["error_px"]) else second["error_px"])
     with pytest.raises(pd.errors.MergeError):
-        paired_runs(pd.concat([runs, runs.iloc[:1]]))
+        cascade_rule.paired_runs(pd.concat([runs, runs.iloc[:1]]))
 
 
 def test_a_cascade_takes_one_or_the_other_and_falls_back():
