@@ -3,7 +3,6 @@
 import logging
 import re
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,10 +139,3 @@ def test_the_root_is_dvcs_or_the_folder_of_the_pipeline(tmp_path, monkeypatch, c
     assert repository_root() == tmp_path
     monkeypatch.setenv("DVC_ROOT", str(tmp_path / "elsewhere"))
     assert repository_root() == tmp_path / "elsewhere"
-
-
-def test_nothing_but_tracking_imports_mlflow():
-    source = Path(tracking.__file__).parents[1]
-    for path in source.rglob("*.py"):
-        if path.name != "tracking.py":
-            assert not re.search(r"^\s*(import|from) mlflow", path.read_text(), re.MULTILINE), path

@@ -65,14 +65,6 @@ def test_intervals_equal_a_naive_bootstrap(rng):
     assert st.bootstrap_mean(without, draws=500, seed=7) == got.without
 
 
-def test_scene_interval_is_wider_for_alike_pairs():
-    values = np.repeat([0.0, 1.0, 1.0, 0.0, 1.0], 8)
-    scenes = [str(i // 8) for i in range(40)]
-    by_pair = st.bootstrap_mean(values, draws=2000, seed=0)
-    by_scene = st.bootstrap_mean(values, draws=2000, seed=0, groups=scenes)
-    assert by_scene.high - by_scene.low > 2 * (by_pair.high - by_pair.low)
-
-
 @pytest.mark.parametrize(
     ("call", "culprit"),
     [

@@ -13,6 +13,7 @@ from epiprior_lab.training.families import fit
 from epiprior_lab.training.onnx_graphs import to_onnx
 from grouped_rows import make_rows
 
+pytestmark = pytest.mark.slow
 ROWS = make_rows()
 TRAINING_DATA = {"sha256": "ab" * 32, "scenes": 12, "rankings": 24}
 TRAINING_DATA |= {"two_keypoint_rows": 2400, "two_keypoint_right": 700, "match_rows": 2000, "match_right": 300}
