@@ -162,9 +162,8 @@ def test_a_scheduler_without_workers_is_named(work, tmp_path, monkeypatch):
     monkeypatch.setattr("epiprior_lab.compute.executors._FIRST_WORKER_SECONDS", 0.2)
     with contextlib.closing(Cluster(tmp_path)) as cluster:
         cluster.ensure(workers=0)
-        pool = open_pool(workers=1, scheduler=cluster.address)
-        with pytest.raises(SettingsError, match=r"no worker within 0\.2 s"), pool:
-            pass
+        with pytest.raises(SettingsError, match=r"no worker within 0\.2 s"):
+            open_pool(workers=1, scheduler=cluster.address).__enter__()
 
 
 def test_a_missing_package_is_named(monkeypatch):

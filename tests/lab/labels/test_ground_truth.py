@@ -152,10 +152,8 @@ def test_control_points_cover_the_whole_overlap_and_depend_on_the_seed_alone(dep
     first, again, other = (ground_truth.control_points_from_depth(CAMERAS, depths, count=50, seed=s) for s in (3, 3, 4))
     np.testing.assert_array_equal(first[1], again[1])
     assert not np.array_equal(first[0], other[0])
-    nothing = np.full_like(depths[0], np.inf)
-    assert [
-        len(x) for x in ground_truth.control_points_from_depth(CAMERAS, (depths[0], nothing), count=50, seed=0)
-    ] == [0, 0]
+    nothing = (depths[0], np.full_like(depths[0], np.inf))
+    assert [len(x) for x in ground_truth.control_points_from_depth(CAMERAS, nothing, count=50, seed=0)] == [0, 0]
 
 
 def test_depth_between_pixels_is_exact_on_a_plane_and_unmixed_at_a_rim():

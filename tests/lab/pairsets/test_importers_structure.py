@@ -119,10 +119,8 @@ def test_pairs_are_those_that_are_asked_for(workspace):
 
 
 def test_a_model_of_text_is_the_same(workspace, model):
-    ours, text = (
-        find_colmap(workspace, choice=MOST),
-        find_colmap(model / "text", images=workspace / "images", choice=MOST),
-    )
+    ours = find_colmap(workspace, choice=MOST)
+    text = find_colmap(model / "text", images=workspace / "images", choice=MOST)
     assert [pair.pair_id for pair in ours] == [pair.pair_id for pair in text]
     np.testing.assert_allclose(ours[0].points[0], text[0].points[0], atol=1e-6)
 
