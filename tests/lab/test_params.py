@@ -142,7 +142,7 @@ def test_what_follows_from_parameters():
     assert photographs.control_points_of("fox") is None
     hand_over = load_study(FILES["study"]).hand_over
     assert (hand_over.top_k_for("usac"), hand_over.top_k_for("beem")) == (hand_over.top_k, hand_over.weighted.top_k)
-    assert None in hand_over.top_k  # no limit
+    assert None in hand_over.weighted.top_k  # no limit
 
 
 @pytest.mark.parametrize("text", ["scenes: [", "", "- 1", "\x00", None])

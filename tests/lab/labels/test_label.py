@@ -449,7 +449,8 @@ def test_without_out_the_file_is_named_after_the_pair_and_lies_here(images, tmp_
     # The same names elsewhere are another pair: what is there stays.
     before = (here / "a-b.csv").read_bytes()
     (tmp_path / "others").mkdir()
-    refused = run(*(save(tmp_path / "others" / path.name, texture(90, 70, seed=5)) for path in images))
+    others = [save(tmp_path / "others" / path.name, texture(90, 70, seed=5 + k)) for k, path in enumerate(images)]
+    refused = run(*others)
     assert isinstance(refused.exception, LabelError)
     assert "a-b.csv" in str(refused.exception)
     assert (here / "a-b.csv").read_bytes() == before
