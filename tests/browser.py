@@ -47,13 +47,9 @@ class Browser:
         # The browser reads file 3 and writes file 4.
         command = f'exec "$@" 3</dev/fd/{to_browser} 4>/dev/fd/{from_browser}'
         options = [*(f"--{flag}" for flag in _FLAGS.split()), f"--user-data-dir={folder}", "about:blank"]
-        self._process = subprocess.Popen(
-            ["/bin/sh", "-c", command, "sh", find_browser(), *options],
-            pass_fds=(to_browser, from_browser),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        command = ["/bin/sh", "-c", command, "sh", find_browser(), *options]
+        nothing = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        self._process = subprocess.Popen(command, pass_fds=(to_browser, from_browser), **nothing)
         os.close(to_browser)
         os.close(from_browser)
         self._number, self._session, self._buffer = 0, None, b""
@@ -67,13 +63,11 @@ class Browser:
 
     def resize(self, width: int, height: int, ratio: float = 1) -> None:
         """Give the window a size, CSS pixels, and so many pixels of the screen for each of them."""
-        self.send(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=ratio, mobile=False
-        )
+        metrics = {"width": width, "height": height, "deviceScaleFactor": ratio, "mobile": False}
+        self.send("Emulation.setDeviceMetricsOverride", **metrics)
         self.ratio = ratio
 
     def close(self) -> None:
-        """End the browser."""
         with contextlib.suppress(OSError, PageError):
             self._session = None
             self.send("Browser.close")
@@ -128,8 +122,6 @@ class Browser:
             self.questions.append(params["type"])
             self._post("Page.handleJavaScriptDialog", accept=True)
 
-    # --- the page
-
     def open(self, url: str, ready: str) -> None:
         """Load a page and wait until a JavaScript expression is true."""
         self.send("Page.navigate", url=url)
@@ -151,25 +143,19 @@ class Browser:
             time.sleep(0.03)
 
     def text(self, selector: str) -> str:
-        """Return the text of an element."""
         return self.run(f"document.querySelector({json.dumps(selector)}).textContent.trim()")
 
     def settle(self) -> None:
-        """Wait until what was asked to be drawn is drawn."""
         self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-
-    # --- the hand
 
     def mouse(self, kind: str, x: float, y: float, **params) -> None:
         """Send one event of the mouse, at CSS pixels of the window."""
         self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, **params)
 
     def move(self, x: float, y: float) -> None:
-        """Move the mouse."""
         self.mouse("mouseMoved", x, y)
 
     def click(self, x: float, y: float) -> None:
-        """Click."""
         self.drag((x, y), (x, y))
 
     def drag(self, start, end, button: str = "left") -> None:
@@ -199,10 +185,9 @@ class Browser:
         for kind in ("rawKeyDown", "keyUp"):
             self.send("Input.dispatchKeyEvent", type=kind, key=key, modifiers=held)
 
-    def screenshot(self, part: tuple[float, float, float, float] | None = None):
-        """Return what the window, or a part of it (left, top, width, height), shows: RGB, pixels of the screen."""
+    def screenshot(self, part: tuple[float, float, float, float]):
+        """Return what a part of the window (left, top, width, height) shows: RGB, pixels of the screen."""
         self.settle()
-        clip = part and dict(zip(("x", "y", "width", "height", "scale"), (*part, 1), strict=True))
-        options = {"clip": clip} if clip else {}
-        data = base64.b64decode(self.send("Page.captureScreenshot", format="png", **options)["data"])
+        clip = dict(zip(("x", "y", "width", "height", "scale"), (*part, 1), strict=True))
+        data = base64.b64decode(self.send("Page.captureScreenshot", format="png", clip=clip)["data"])
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]

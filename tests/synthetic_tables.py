@@ -56,8 +56,7 @@ def photograph_tables(*, pairs: int = 6, seed: int = 0) -> Tables:
         for k in range(pairs):
             # Ids look like numbers: they must stay text.
             key = {"group": name, "pair_id": f"{k:04d}", "scene": f"0{k // 2}"}
-            labelled = k < pairs - 1 or name == "fox"
-            difficulty = difficulties[k % len(difficulties)] if labelled else ""
+            difficulty = difficulties[k % len(difficulties)] if (k < pairs - 1 or name == "fox") else ""
             records += _pair(rng, key, PHOTOGRAPH_INPUTS, difficulty, cameras=name != "strecha", apart=name in APART)
     return Tables.from_records(records)
 
@@ -65,64 +64,45 @@ def photograph_tables(*, pairs: int = 6, seed: int = 0) -> Tables:
 def _pair(rng, key, inputs, difficulty, *, cameras=True, apart=False):
     labelled = bool(difficulty)
     roll = float(rng.uniform(-180, 180)) if cameras else np.nan
-    yield PairRecord(
-        **key,
-        features1=2000,
-        features2=1800,
-        labels="control_points" if labelled else "",
-        points="cameras" if apart else "control_points",
-        right_share={"easy": 0.7, "medium": 0.3, "hard": 0.1, "": np.nan}[difficulty] + 0.001 * rng.random(),
-        difficulty=difficulty,
-        true_roll_deg=roll,
-        expected_roll_deg=roll % 360 if cameras else 0.0,
-    )
+    about = {"features1": 2000, "features2": 1800, "points": "cameras" if apart else "control_points"}
+    about |= {"labels": "control_points" if labelled else "", "difficulty": difficulty, "true_roll_deg": roll}
+    share = {"easy": 0.7, "medium": 0.3, "hard": 0.1, "": np.nan}[difficulty] + 0.001 * rng.random()
+    yield PairRecord(**key, **about, right_share=share, expected_roll_deg=roll % 360 if cameras else 0.0)
     yield from _runs(rng, key, inputs, cameras=cameras, labelled=labelled)
-    used = dict.fromkeys(name for names in inputs.values() for name in names)
     if not labelled:
         return
-    for name in used:
-        for ranking in RANKINGS if name in ("paper", "default") else ("final",):
-            quality = QUALITY[ranking] if name in ("paper", "default") else EASE[name]
+    for name in dict.fromkeys(name for names in inputs.values() for name in names):
+        ranked = name in ("paper", "default")
+        for ranking in RANKINGS if ranked else ("final",):
+            quality = QUALITY[ranking] if ranked else EASE[name]
             right = np.cumsum(rng.random(10_000) < quality / (1 + np.arange(10_000) / 800))
-            yield RankingRecord(
-                **key,
-                input=name,
-                ranking=ranking,
-                matches=10_000,
-                right=int(right[-1]),
-                average_precision=float(quality * rng.random()),
-                right_at=tuple(int(right[rank - 1]) for rank in RANKS),
-            )
-        if name in ("paper", "default"):
+            counts = {
+                "matches": 10_000,
+                "right": int(right[-1]),
+                "right_at": tuple(int(right[rank - 1]) for rank in RANKS),
+            }
+            precision = float(quality * rng.random())
+            yield RankingRecord(**key, input=name, ranking=ranking, average_precision=precision, **counts)
+        if ranked:
             yield from _calibration(rng, key, name)
 
 
 def _runs(rng, key, inputs, *, cameras, labelled):
     hardness = rng.random()
-    for estimator, names in inputs.items():
-        for name in names:
-            for seed in SEEDS:
-                works = hardness + rng.normal(0, 0.1) < EASE[name] + 0.2 * (estimator == "epiprior")
-                found = works or rng.random() < 0.7
-                error = float(rng.gamma(1.5, 1.2) if works else 10 * rng.lognormal(1, 0.6))
-                ok = found and int(1e6 * error) % 9 != 0  # the status knows nothing of the truth here
-                yield RunRecord(
-                    **key,
-                    estimator=estimator,
-                    input=name,
-                    seed=seed,
-                    status="ok" if ok else "degenerate" if found else "no_model",
-                    support=120 if ok else 0,
-                    matches=200,
-                    spread=60 if ok else 0,
-                    plausibility=0.97 if found else np.nan,
-                    iterations=None if estimator == "prosac" else 100,
-                    error_px=error if found else np.nan,
-                    median_error_px=0.8 * error if found else np.nan,
-                    distance=error / 100 if found and labelled else np.nan,
-                    rotation_deg=error if found and cameras else np.nan,
-                    translation_deg=2 * error if found and cameras else np.nan,
-                )
+    runs = ((estimator, name, seed) for estimator, names in inputs.items() for name in names for seed in SEEDS)
+    for estimator, name, seed in runs:
+        works = hardness + rng.normal(0, 0.1) < EASE[name] + 0.2 * (estimator == "epiprior")
+        found = works or rng.random() < 0.7
+        error = float(rng.gamma(1.5, 1.2) if works else 10 * rng.lognormal(1, 0.6))
+        ok = found and int(1e6 * error) % 9 != 0  # the status knows nothing of the truth here
+        status = "ok" if ok else "degenerate" if found else "no_model"
+        counts = {"matches": 200, "iterations": None if estimator == "prosac" else 100}
+        counts |= {"support": 120, "spread": 60} if ok else {"support": 0, "spread": 0}
+        turned = error if cameras else np.nan
+        measures = {"error_px": error, "median_error_px": 0.8 * error, "distance": error / 100 if labelled else np.nan}
+        measures |= {"plausibility": 0.97, "rotation_deg": turned, "translation_deg": 2 * turned}
+        measures = measures if found else dict.fromkeys(measures, np.nan)
+        yield RunRecord(**key, estimator=estimator, input=name, seed=seed, status=status, **counts, **measures)
 
 
 def _calibration(rng, key, name):
@@ -140,28 +120,18 @@ def timing_table(tables, *, pairs_per_group=2, seed=0):
     rng = np.random.default_rng(seed)
     shown = tables.pairs.groupby("group", sort=False).head(pairs_per_group)
     runs = tables.runs.merge(shown[["group", "pair_id"]], on=["group", "pair_id"])
+    kept = ("group", "pair_id", "scene", "estimator", "seed", "error_px")
     records = []
-    for run in runs.itertuples():
-        if run.input in ("adalam", "gms"):
-            continue
+    for run in runs[~runs["input"].isin(["adalam", "gms"])].itertuples():
         ranked = run.input in ("paper", "default")
+        about = {column: getattr(run, column) for column in kept}
         for name in (run.input, "cascade") if run.input in ("standard", "generalized") else (run.input,):
             again = name == "cascade" and run.error_px > 10
-            parts = 0.5, 0.1 + 0.6 * (ranked or again), float(rng.uniform(0.05, 0.5))
-            records.append(
-                TimingRecord(
-                    group=run.group,
-                    pair_id=run.pair_id,
-                    scene=run.scene,
-                    estimator=run.estimator,
-                    input=name,
-                    seed=run.seed,
-                    seconds_features=parts[0],
-                    seconds_matching=parts[1],
-                    seconds_estimator=parts[2],
-                    seconds_total=sum(parts),
-                    preprocessed=ranked or again,
-                    error_px=run.error_px,
-                )
-            )
+            parts = {
+                "features": 0.5,
+                "matching": 0.1 + 0.6 * (ranked or again),
+                "estimator": float(rng.uniform(0.05, 0.5)),
+            }
+            seconds = {f"seconds_{part}": value for part, value in (parts | {"total": sum(parts.values())}).items()}
+            records.append(TimingRecord(**about, **seconds, input=name, preprocessed=ranked or again))
     return to_frame(TimingRecord, records)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from epiprior_lab.pairsets import Camera
+from epiprior_lab.pairsets import Camera, Pair
 from epiprior_lab.scenes.camera_pairs import look_at
 from epiprior_lab.scenes.render import Light, cast_shadows
 from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, World, WorldBuilder, box, upright
 from pictures import texture
+from synthetic import HEIGHT as TALL
+from synthetic import WIDTH as WIDE
+from synthetic import K, rotation
 
 WIDTH, HEIGHT = 320, 240
 
@@ -32,6 +35,29 @@ def room(*, sky: bool = True) -> World:
 def camera_at(x: float, *, roll_deg: float = 0.0, z: float = -12.0) -> Camera:
     eye, target = np.array([x, -1.7, z]), np.array([0.0, -1.2, -2.0])
     return look_at(eye, target, roll_deg=roll_deg, focal_px=300.0, width=WIDTH, height=HEIGHT)
+
+
+def two_cameras(t=(-2.0, 0.3, 0.4), angle: float = 15.0, R=None) -> tuple[Camera, Camera]:
+    """Return two cameras of `synthetic`: one at the origin, and one that is turned and moved."""
+    turned = rotation((0.1, 1, 0.2), angle) if R is None else R
+    poses = ((np.eye(3), np.zeros(3)), (turned, np.asarray(t, dtype=float)))
+    first, second = (Camera(K=K, R=R, t=t, width=WIDE, height=TALL) for R, t in poses)
+    return first, second
+
+
+def points_before(cameras, count: int = 60):
+    """Return points of the world before two cameras, as both see them."""
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-1, 1, (count, 2)), rng.uniform(5, 9, count)])
+    (x1, depth1), (x2, depth2) = (camera.project(points) for camera in cameras)
+    assert min(depth1.min(), depth2.min()) > 0
+    return x1, x2
+
+
+def camera_pair(folder, cameras) -> Pair:
+    """Return a pair that has cameras and nothing else."""
+    first, second = cameras
+    return Pair(pair_id="p", scene="s", image1=folder, image2=folder, camera1=first, camera2=second, difficulty="")
 
 
 def no_shadows(world: World):

@@ -3,7 +3,6 @@
 import contextlib
 import inspect
 import json
-import os
 import subprocess
 import sys
 import threading
@@ -20,30 +19,6 @@ from epiprior_lab.compute.executors import open_pool
 from epiprior_lab.compute.tasks import Task, TaskError, map_tasks
 from pictures import relief_pair, save
 
-WORK = """
-import os, time
-import cv2, numba, numpy, threadpoolctl
-
-def threads(seconds):
-    time.sleep(seconds)
-    pools = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
-    return [os.getpid(), cv2.getNumThreads(), numba.get_num_threads(), max(pools, default=1)]
-
-def describe(path):
-    time.sleep(0.05)
-    _, descriptors = cv2.SIFT_create().detectAndCompute(cv2.imread(path, cv2.IMREAD_GRAYSCALE), None)
-    return numpy.linalg.svd(descriptors, compute_uv=False)
-
-def fill(array):
-    array[:] = 7
-    return array
-
-def fail_after(seconds, value):
-    time.sleep(seconds)
-    if value % 2:
-        raise ValueError(f"{value} is odd")
-    return os.getcwd()
-"""
 TASKS = 20
 pytestmark = pytest.mark.slow
 
@@ -90,22 +65,27 @@ def wait_until(condition, seconds=300):
         time.sleep(0.02)
 
 
+@contextlib.contextmanager
+def killed(process, store, results):
+    """Kill a process as soon as so many results are stored; yield a list that gets their number."""
+    found, ended = [], []
+
+    def kill():
+        wait_until(lambda: ended or len(list(store.glob("*.result"))) >= results)
+        process.kill()
+        found.append(len(list(store.glob("*.result"))))
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        yield found
+    finally:
+        ended.append(True)
+        killer.join()
+
+
 @pytest.fixture(scope="module")
-def work(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("work")
-    (folder / "cluster_work.py").write_text(WORK, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
-        patch.delenv("EPIPRIOR_SCHEDULER", raising=False)
-        import cluster_work
-
-        yield cluster_work
-    del sys.modules["cluster_work"]
-
-
-@pytest.fixture(scope="module")
-def cluster(work, tmp_path_factory):
+def cluster(work_module, tmp_path_factory):
     with contextlib.closing(Cluster(tmp_path_factory.mktemp("cluster"))) as cluster:
         yield cluster
 
@@ -119,9 +99,7 @@ def no_client_left():
 
 def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(cluster, work, tmp_path):
     cluster.ensure(workers=2)
-    paths = [tmp_path / f"{k}.png" for k in range(TASKS)]
-    for k, path in enumerate(paths):
-        save(path, relief_pair(160, 120, seed=k)[0])
+    paths = [save(tmp_path / f"{k}.png", relief_pair(160, 120, seed=k)[0]) for k in range(TASKS)]
     tasks = [Task(name=path.name, payload={"path": str(path)}, files=(path,)) for path in paths]
 
     def run(name, **where):
@@ -130,23 +108,10 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(cluster, work, tmp_p
 
     alone = run("alone")
     assert len(alone) == TASKS
-    at_kill, ended = [], []
-
-    def kill_one():
-        wait_until(lambda: ended or len(list((tmp_path / "cluster").rglob("*.result"))) >= 3)
-        cluster.workers[0].kill()
-        at_kill.append(len(list((tmp_path / "cluster").rglob("*.result"))))
-
-    killer = threading.Thread(target=kill_one)
-    killer.start()
-    try:
-        on_cluster = run("cluster", scheduler=cluster.address)
-    finally:
-        ended.append(True)
-        killer.join()
+    with killed(cluster.workers[0], tmp_path / "cluster", 3) as at_kill:
+        assert run("cluster", scheduler=cluster.address) == alone
     assert at_kill[0] < TASKS
     assert cluster.workers[0].wait(timeout=10) != 0
-    assert on_cluster == alone
 
 
 def test_tasks_of_a_cluster_have_one_thread_each_and_their_own_arrays(cluster, work, monkeypatch):
@@ -178,20 +143,9 @@ def test_the_first_failure_on_a_cluster_is_named(cluster, work, tmp_path):
 def test_a_lost_scheduler_is_told_and_what_was_ready_is_kept(cluster, work, tmp_path):
     cluster.ensure(workers=1)
     tasks = [Task(name=f"pair {v}", payload={"seconds": 0.1, "value": 2 * v}) for v in range(200)]
-    store, ended = tmp_path / "store", []
-
-    def kill():
-        wait_until(lambda: ended or len(list(store.glob("*.result"))) >= 5)
-        cluster.scheduler.kill()
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    try:
-        with pytest.raises(TaskError, match="scheduler was lost"):
-            map_tasks(work.fail_after, tasks, workers=1, description="work", store=store, scheduler=cluster.address)
-    finally:
-        ended.append(True)
-        killer.join()
+    store = tmp_path / "store"
+    with killed(cluster.scheduler, store, 5), pytest.raises(TaskError, match="scheduler was lost"):
+        map_tasks(work.fail_after, tasks, workers=1, description="work", store=store, scheduler=cluster.address)
     assert 5 <= len(list(store.glob("*.result"))) < 200
 
 
@@ -208,11 +162,8 @@ def test_a_scheduler_without_workers_is_named(work, tmp_path, monkeypatch):
     monkeypatch.setattr("epiprior_lab.compute.executors._FIRST_WORKER_SECONDS", 0.2)
     with contextlib.closing(Cluster(tmp_path)) as cluster:
         cluster.ensure(workers=0)
-        with (
-            pytest.raises(SettingsError, match=r"no worker within 0\.2 s"),
-            open_pool(workers=1, scheduler=cluster.address),
-        ):
-            pass
+        with pytest.raises(SettingsError, match=r"no worker within 0\.2 s"):
+            open_pool(workers=1, scheduler=cluster.address).__enter__()
 
 
 def test_a_missing_package_is_named(monkeypatch):

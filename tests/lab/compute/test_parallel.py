@@ -1,3 +1,5 @@
+"""Tasks: order, stored results and their keys, failures, stopped runs, threads."""
+
 import contextlib
 import hashlib
 import os
@@ -16,74 +18,12 @@ import numpy as np
 import psutil
 import pytest
 import threadpoolctl
-from joblib.externals.loky import get_reusable_executor
 
 from epiprior.errors import SettingsError
 from epiprior_lab.compute import tasks as parallel
-from epiprior_lab.compute.source_graph import source_files
 from epiprior_lab.compute.store import ContentKeys
 from epiprior_lab.compute.tasks import Task, TaskError, default_workers, map_tasks, single_threaded
-
-# The functions that run in tasks live in a module of their own that every worker can import.
-WORK = """
-import os, sys, time
-from pathlib import Path
-import cv2, numba, numpy as np, threadpoolctl
-
-FACTOR = 2
-
-def double(value, log=None):
-    if log is not None:
-        with Path(log).open("a") as file:
-            file.write(f"{value}\\n")
-    if value < 0:
-        raise ValueError(f"{value} is negative")
-    return FACTOR * value
-
-def slow(value, log):
-    time.sleep(0.05)
-    return double(value, log)
-
-def threads():
-    pools = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
-    return [os.getpid(), cv2.getNumThreads(), numba.get_num_threads(), max(pools, default=1)]
-
-def product(seed):
-    rng = np.random.default_rng(seed)
-    rows = rng.normal(size=(300, 300)).astype(np.float32)
-    return {"rows": rows @ rows.T, "name": sys.intern("rows"), "again": "rows"}
-
-def read(path):
-    return Path(path).read_text()
-
-def fill(array):
-    array[:] = 7
-    return array
-
-def fail_after(seconds, log, value):
-    with Path(log).open("a") as file:
-        file.write(f"{value}\\n")
-    time.sleep(seconds)
-    if value % 2:
-        raise ValueError(f"{value} is odd")
-
-class Odd(Exception):
-    def __init__(self, first, second):
-        super().__init__(f"{first} and {second}")
-
-def raise_odd():
-    raise Odd("one", "two")
-
-def die(value):
-    if value == 5:
-        os.kill(os.getpid(), 9)
-    return value
-
-def interrupt(value):
-    if value == 2:
-        raise KeyboardInterrupt
-    return value
-"""
+from lab.compute.conftest import WORK
 
 STOPPED = """
 import signal
@@ -113,30 +53,6 @@ for workers in (1, 2):
 """
 
 
-@pytest.fixture(scope="module")
-def work_module(tmp_path_factory):
-    """Write the module, where workers that are started from now on find it too."""
-    folder = tmp_path_factory.mktemp("work")
-    (folder / "work.py").write_text(WORK, encoding="utf-8")
-    get_reusable_executor().shutdown(wait=True)  # workers that earlier tests left waiting would not find it
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
-        patch.delenv("EPIPRIOR_SCHEDULER", raising=False)
-        import work
-
-        yield work
-    get_reusable_executor().shutdown(wait=True)
-    del sys.modules["work"]
-
-
-@pytest.fixture
-def work(work_module):
-    yield work_module
-    Path(work_module.__file__).write_text(WORK, encoding="utf-8")
-    source_files.cache_clear()
-
-
 @pytest.fixture
 def doubled(work, tmp_path):
     """Double values through one store, and tell which of them were computed."""
@@ -153,13 +69,10 @@ def doubled(work, tmp_path):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_results_keep_the_order_of_the_tasks(work, workers):
+def test_results_keep_the_order_of_the_tasks(work, workers, tmp_path):
     tasks = [Task(name=str(value), payload={"value": value}) for value in (5, 1, 4, 2)]
     assert map_tasks(work.double, tasks, workers=workers, description="doubling") == [10, 2, 8, 4]
-
-
-def test_no_tasks(work, tmp_path):
-    assert map_tasks(work.double, [], workers=2, description="nothing", store=tmp_path / "store") == []
+    assert map_tasks(work.double, [], workers=workers, description="nothing", store=tmp_path / "store") == []
 
 
 def test_stored_results_are_used_again(doubled):
@@ -167,33 +80,27 @@ def test_stored_results_are_used_again(doubled):
     assert doubled([3, 2, 1]) == ([6, 4, 2], [3])
 
 
-def test_the_store_does_not_grow_with_new_keys(doubled, work, tmp_path):
+def test_the_store_does_not_grow_with_new_keys(doubled, change, tmp_path):
     doubled([1, 2])
-    source = Path(work.__file__)
-    source.write_text('"""About."""\n' + WORK + "# a comment\n", encoding="utf-8")
-    source_files.cache_clear()
+    change(f'"""About."""\n{WORK}# a comment\n')
     assert doubled([1, 2])[1] == []  # what is said of the code determines no result
-    source.write_text(WORK + "CHANGED = True\n", encoding="utf-8")
-    source_files.cache_clear()
+    change(WORK + "CHANGED = True\n")
     assert doubled([1, 2])[1] == [1, 2]  # other code is another key
     assert len(list((tmp_path / "store").iterdir())) == 2
 
 
-def test_payload_files_and_code_enter_the_key(work, tmp_path):
-    path, store = tmp_path / "input.txt", tmp_path / "store"
-    path.write_text("one")
-    task = Task(name="only", payload={"path": path}, files=(path,))
-    assert map_tasks(work.read, [task], workers=1, description="read", store=store) == ["one"]
-    path.write_text("two")
-    assert map_tasks(work.read, [task], workers=1, description="read", store=store) == ["two"]
-    blind = Task(name="only", payload={"path": path})
-    path.write_text("three")
-    assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
-    path.write_text("four")
-    assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["three"]
-    Path(work.__file__).write_text(WORK + "CHANGED = True\n", encoding="utf-8")
-    source_files.cache_clear()
-    assert map_tasks(work.read, [blind], workers=1, description="read", store=store) == ["four"]
+def test_payload_files_and_code_enter_the_key(work, change, tmp_path):
+    path = tmp_path / "input.txt"
+    task, blind = (Task(name="only", payload={"path": path}, files=files) for files in ((path,), ()))
+
+    def read(text, task):
+        path.write_text(text)
+        return map_tasks(work.read, [task], workers=1, description="read", store=tmp_path / "store")
+
+    for text, which, expected in (("one", task, "one"), ("two", task, "two"), ("3", blind, "3"), ("4", blind, "3")):
+        assert read(text, which) == [expected]
+    change(WORK + "CHANGED = True\n")
+    assert read("four", blind) == ["four"]
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:-1] + b"?", lambda b: b""])
@@ -208,8 +115,7 @@ def test_a_damaged_result_is_computed_again(doubled, tmp_path, damage):
 def test_a_failure_names_the_task_and_keeps_what_was_ready(doubled, workers):
     with pytest.raises(TaskError, match=r"doubling: task 'pair -1' failed: ValueError: -1 is negative"):
         doubled([1, 2, 3, 4, 5, 6, 7, -1], workers=workers)
-    again = doubled([1, 2, 3, 4], workers=workers)
-    assert again == ([2, 4, 6, 8], [])
+    assert doubled([1, 2, 3, 4], workers=workers) == ([2, 4, 6, 8], [])
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -243,9 +149,8 @@ def test_a_worker_that_was_killed_is_told_and_what_was_ready_is_kept(work, tmp_p
 
 
 def test_functions_and_payloads_of_a_script(tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(OWN_FUNCTION, encoding="utf-8")
-    subprocess.run([sys.executable, str(script)], check=True, capture_output=True, timeout=120)
+    (tmp_path / "script.py").write_text(OWN_FUNCTION, encoding="utf-8")
+    subprocess.run([sys.executable, tmp_path / "script.py"], check=True, capture_output=True, timeout=120)
 
 
 @pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
@@ -269,8 +174,7 @@ def test_a_stopped_run_leaves_no_workers_and_continues(work, tmp_path, stop):
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(run.pid, signal.SIGKILL)
-    assert run.returncode == -stop
-    assert told.count(b"KeyboardInterrupt") == (stop == signal.SIGINT)
+    assert (run.returncode, told.count(b"KeyboardInterrupt")) == (-stop, stop == signal.SIGINT)
     before = {path.name for path in store.glob("*.result")}
     assert 10 <= len(before) < 60
     log.write_text("")
@@ -295,8 +199,7 @@ def test_one_and_two_workers_give_the_same_bytes(work, tmp_path):
         return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in store.iterdir()}
 
     one = stored(1)
-    assert len(one) == 6
-    assert one == stored(2)
+    assert (len(one), one) == (6, stored(2))
 
 
 def test_tasks_see_one_thread_and_the_caller_gets_its_threads_back(work):
@@ -337,27 +240,9 @@ class Options:
 
 def test_equal_payloads_have_equal_keys_and_others_differ(work):
     keys = ContentKeys(work.double)
-    payloads = [
-        {"a": 1},
-        {"a": 1.0},
-        {"a": True},
-        {"a": "1"},
-        {"a": [1, [2]]},
-        {"a": [[1], 2]},
-        {"a": (1, 2)},
-        {"a": ["1", "2"]},
-        {"a": ["12"]},
-        {"a": np.float64(1)},
-        {"a": np.zeros(4)},
-        {"a": np.zeros((2, 2))},
-        {"a": np.zeros(4, np.float32)},
-        {"a": Options(0, 1)},
-        {"a": Options(1, 0)},
-        {"a": None},
-        {"a": b"1"},
-        {"a": Path("1")},
-        {},
-    ]
+    values = [1, 1.0, True, "1", [1, [2]], [[1], 2], (1, 2), ["1", "2"], ["12"], np.float64(1), np.zeros(4)]
+    values += [np.zeros((2, 2)), np.zeros(4, np.float32), Options(0, 1), Options(1, 0), None, b"1", Path("1")]
+    payloads = [{}, *({"a": value} for value in values)]
     assert len({keys.key(payload, ()) for payload in payloads}) == len(payloads)
     assert keys.key({"a": 1, "b": [np.ones(2)]}, ()) == keys.key({"b": [np.ones(2)], "a": 1}, ())
 
@@ -373,17 +258,15 @@ def test_a_worker_with_other_code_is_named(work):
 
 
 def test_bad_calls_are_named(work, tmp_path):
-    def call(task, *more, workers=1):
-        map_tasks(work.double, [task, *more], workers=workers, description="doubling", store=tmp_path / "store")
-
-    with pytest.raises(SettingsError, match="workers = 0"):
-        call(Task(name="a"), workers=0)
-    with pytest.raises(SettingsError, match="repeated task name 'a'"):
-        call(Task(name="a"), Task(name="a"))
-    with pytest.raises(SettingsError, match="task 'a': payload: object has no stable key"):
-        call(Task(name="a", payload={"value": object()}))
-    with pytest.raises(TaskError, match=r"task 'a': cannot read .*absent\.jpg"):
-        call(Task(name="a", files=(tmp_path / "absent.jpg",)))
+    a, unstable = Task(name="a"), Task(name="a", payload={"value": object()})
+    for tasks, workers, error, message in (
+        ([a], 0, SettingsError, "workers = 0"),
+        ([a, a], 1, SettingsError, "repeated task name 'a'"),
+        ([unstable], 1, SettingsError, "task 'a': payload: object has no stable key"),
+        ([replace(a, files=(tmp_path / "absent.jpg",))], 1, TaskError, r"task 'a': cannot read .*absent\.jpg"),
+    ):
+        with pytest.raises(error, match=message):
+            map_tasks(work.double, tasks, workers=workers, description="doubling", store=tmp_path / "store")
 
 
 def test_workers_come_from_the_environment(monkeypatch):

@@ -1,3 +1,5 @@
+"""Files that a module imports."""
+
 import pytest
 
 from epiprior_lab.compute.source_graph import source_files

@@ -13,8 +13,7 @@ from synthetic_tables import APART, photograph_tables, study_tables
 
 def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs():
     tables = study_tables(pairs=4)
-    shuffled = replace(tables, runs=tables.runs.sample(frac=1, random_state=1))
-    rates = Rates(shuffled)
+    rates = Rates(replace(tables, runs=tables.runs.sample(frac=1, random_state=1)))
     found = rates.of("usac", "default", 5.0)
     for k, pair in enumerate(tables.pairs.itertuples()):
         runs = tables.runs.query(
@@ -28,8 +27,7 @@ def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs():
 
 def test_a_pair_without_runs_or_without_the_truth_is_a_failure():
     tables = photograph_tables()
-    first = tables.pairs.iloc[0]
-    less = replace(tables, runs=tables.runs[tables.runs["pair_id"] != first["pair_id"]])
+    less = replace(tables, runs=tables.runs[tables.runs["pair_id"] != tables.pairs.iloc[0]["pair_id"]])
     assert np.isinf(Rates(less).values("usac", "default")[0]).all()
     poses = Rates(tables, POSE)
     strecha = (tables.pairs["group"] == "strecha").to_numpy()  # no cameras
@@ -40,8 +38,7 @@ def test_a_pair_without_runs_or_without_the_truth_is_a_failure():
 
 
 def test_groups_leave_out_what_is_apart():
-    pairs = photograph_tables().pairs
-    masks = group_masks(pairs, apart=APART)
+    masks = group_masks(photograph_tables().pairs, apart=APART)
     assert list(masks) == ["easy", "medium", "hard", ALL, "strecha", "fox", "scannet15"]
     assert masks[ALL].sum() == 12
     assert not (masks["hard"] & masks["scannet15"]).any()

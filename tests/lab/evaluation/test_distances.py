@@ -5,26 +5,11 @@ import pytest
 
 from epiprior.geometry import normalise_fundamental
 from epiprior_lab.evaluation.distances import points_on_lines, pose_errors, symmetric_distance
-from epiprior_lab.pairsets import Camera, fundamental_from_cameras
-from synthetic import HEIGHT, WIDTH, K, rotation
+from epiprior_lab.pairsets import fundamental_from_cameras
+from synthetic import HEIGHT, WIDTH
+from worlds import points_before, two_cameras
 
 SIZES = ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
-
-
-def cameras(angle=15.0, t=(-2.0, 0.3, 0.4)):
-    first = Camera(K=K, R=np.eye(3), t=np.zeros(3), width=WIDTH, height=HEIGHT)
-    second = Camera(K=K, R=rotation((0.1, 1, 0.2), angle), t=np.asarray(t), width=WIDTH, height=HEIGHT)
-    return first, second
-
-
-def seen(pair, count=60, seed=0):
-    """Points before both cameras, as both see them."""
-    rng = np.random.default_rng(seed)
-    points = np.column_stack([rng.uniform(-1, 1, (count, 2)), rng.uniform(5, 9, count)])
-    (x1, depth1), (x2, depth2) = (camera.project(points) for camera in pair)
-    assert (depth1 > 0).all()
-    assert (depth2 > 0).all()
-    return x1, x2
 
 
 def naive_distance(F, other, sizes, points, seed):
@@ -56,14 +41,14 @@ def naive_distance(F, other, sizes, points, seed):
 
 
 def test_distance_is_that_of_the_naive_twin():
-    F, other = (fundamental_from_cameras(*cameras(t=t)) for t in ((-2.0, 0.3, 0.4), (-2.0, 0.6, 0.2)))
+    F, other = (fundamental_from_cameras(*two_cameras(t=t)) for t in ((-2.0, 0.3, 0.4), (-2.0, 0.6, 0.2)))
     found = symmetric_distance(F, other, SIZES, points=4000, seed=1)
     assert found == pytest.approx(naive_distance(F, other, SIZES, 3000, 2), rel=0.06)
     assert 0.01 < found < 0.5
 
 
 def test_distance_is_zero_only_for_the_same_and_symmetric_on_average():
-    F, other = (fundamental_from_cameras(*cameras(angle)) for angle in (15.0, 17.0))
+    F, other = (fundamental_from_cameras(*two_cameras(angle=angle)) for angle in (15.0, 17.0))
     assert symmetric_distance(F, -3 * F, SIZES) < 1e-9
     there, back = symmetric_distance(F, other, SIZES, points=5000), symmetric_distance(other, F, SIZES, points=5000)
     assert there == pytest.approx(back, rel=0.05)
@@ -89,20 +74,22 @@ def test_points_on_lines():
 
 
 def test_pose_of_the_true_matrix_is_exact_and_of_others_off_by_what_they_are():
-    pair = cameras()
-    points = seen(pair)
+    pair = two_cameras()
+    points = points_before(pair)
     for F in (pair_F := fundamental_from_cameras(*pair), -pair_F):
         assert max(pose_errors(F, pair, *points)) < 1e-5
-    turned = cameras(angle=21.0)
-    rotation_deg, _ = pose_errors(fundamental_from_cameras(*turned), pair, *seen(turned))
+    turned = two_cameras(angle=21.0)
+    rotation_deg, _ = pose_errors(fundamental_from_cameras(*turned), pair, *points_before(turned))
     assert rotation_deg == pytest.approx(6.0, abs=1e-4)
     t, moved = np.array([-2.0, 0.3, 0.4]), np.array([-2.0, 1.3, 0.4])
-    _, translation_deg = pose_errors(fundamental_from_cameras(*cameras(t=moved)), pair, *seen(cameras(t=moved)))
+    _, translation_deg = pose_errors(
+        fundamental_from_cameras(*two_cameras(t=moved)), pair, *points_before(two_cameras(t=moved))
+    )
     cosine = t @ moved / np.linalg.norm(t) / np.linalg.norm(moved)
     assert translation_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=1e-4)
 
 
 def test_pose_without_baseline_has_no_translation():
-    pair = cameras(t=(0.0, 0.0, 0.0))
+    pair = two_cameras(t=(0.0, 0.0, 0.0))
     F = normalise_fundamental(np.array([[0, -1, 0.1], [1, 0, 0.2], [0.3, 0.1, 0]]))
-    assert np.isnan(pose_errors(F, pair, *seen(cameras()))[1])
+    assert np.isnan(pose_errors(F, pair, *points_before(two_cameras()))[1])

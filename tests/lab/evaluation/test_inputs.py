@@ -28,8 +28,7 @@ def test_shared_features_and_files_change_nothing(pairs, tiny_model, tmp_path):
     got = files.only(("default",)).read()
     with single_threaded():  # as tasks run: sums of several threads are taken in another order
         wanted = rank_matches(pairs[0].image1, pairs[0].image2).sets
-    assert list(got.sets) == ["default"]
-    assert len(got.sets["default"]) == len(wanted)
+    assert (list(got.sets), len(got.sets["default"])) == (["default"], len(wanted))
     for a, b in zip(got.sets["default"], wanted, strict=True):
         np.testing.assert_array_equal(a.probability, b.probability)
         np.testing.assert_array_equal(a.x2, b.x2)
@@ -72,8 +71,7 @@ def test_matches_of_a_peer_are_kept_beside_our_own(pairs, relief, tmp_path):
     peers = relief.parent / "peers" / "relief"
     files = inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path, peers=peers)[0]
     (found,) = files.read().sets["twin"]
-    points = pairs[0].control_points()
-    np.testing.assert_allclose(found.x1, points[0])
+    np.testing.assert_allclose(found.x1, pairs[0].control_points()[0])
     assert np.isnan(found.probability).all()
     assert found.image_sizes == files.read().sets["standard"][0].image_sizes
     with pytest.raises(DatasetError, match="matches of twin"):

@@ -13,15 +13,12 @@ from epiprior_lab.evaluation.truth import TruthSettings
 
 
 def match_set(n, probability=None):
-    zeros, index = np.zeros(n), np.arange(n)
-    xy = np.zeros((n, 2))
-    return MatchSet(
-        x1=xy, x2=xy, scale1=zeros + 1, scale2=zeros + 1, orientation1_deg=zeros, orientation2_deg=zeros,
-        feature1=index, feature2=index[::-1].copy(),
-        probability=np.linspace(0.9, 0.1, n) if probability is None else np.asarray(probability, float),
-        supporting_matrices=np.zeros(n, np.int64), distance_ratio=zeros + 1, similarity_weight=zeros,
-        similarity=zeros, two_keypoint_probability=zeros,
-    )  # fmt: skip
+    names = ("scale1", "scale2", "orientation1_deg", "orientation2_deg", "distance_ratio")
+    columns = dict.fromkeys(names, np.ones(n))
+    names = ("similarity", "similarity_weight", "two_keypoint_probability", "supporting_matrices")
+    columns |= dict.fromkeys(names, np.zeros(n)) | {name: np.zeros((n, 2)) for name in ("x1", "x2")}
+    columns |= {"feature1": np.arange(n), "feature2": np.arange(n)[::-1].copy()}
+    return MatchSet(**columns, probability=np.linspace(0.9, 0.1, n) if probability is None else probability)
 
 
 def test_ranking_orders():
@@ -34,13 +31,8 @@ def test_ranking_orders():
     )
     orders = {name: list(index) for name, index in rankings.ranking_orders(matches).items()}
     assert tuple(orders) == RANKINGS
-    assert orders == {
-        "lowe": [2, 4, 1],
-        "blogs": [3, 1, 4],
-        "2keypoint": [2, 3, 0],
-        "sfm": [3, 0, 1, 4],
-        "final": [0, 1, 2, 3, 4],
-    }
+    wanted = {"lowe": [2, 4, 1], "blogs": [3, 1, 4], "2keypoint": [2, 3, 0], "sfm": [3, 0, 1, 4]}
+    assert orders == wanted | {"final": [0, 1, 2, 3, 4]}
 
 
 def test_the_hypothesis_with_the_most_probable_hundred_is_ranked():
@@ -61,8 +53,7 @@ def test_a_ranking_is_walked_one_to_one():
 
 
 def test_records_of_a_pair(pairs, tiny_model, tmp_path):
-    names = ("standard", "snn", "generalized", "default")
-    [files] = inputs.store_matches(pairs[:1], names, tmp_path)
+    [files] = inputs.store_matches(pairs[:1], ("standard", "snn", "generalized", "default"), tmp_path)
     found = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=TruthSettings())
     assert [type(record) for record in found[:2]] == [PairRecord, RankingRecord]
     tables = Tables.from_records(found)
@@ -83,16 +74,13 @@ def test_records_of_a_pair(pairs, tiny_model, tmp_path):
     assert [ranking for _, ranking in table.index] == ["final"] * 3 + list(RANKINGS)
     ranked = rankings.best_hypothesis(rank_matches(pairs[0].image1, pairs[0].image2).sets)
     final, single = table.loc[("default", "final")], ranked.one_to_one()
-    assert final["matches"] == len(single)
-    assert final["right"] == final["right_10000"]
+    assert (final["matches"], final["right"]) == (len(single), final["right_10000"])
     assert final["right_100"] == pytest.approx(right(single)[:100].sum(), abs=2)
     assert table.loc[("snn", "final"), "right_10"] == 10
-
     bins = tables.calibration
     assert isinstance(found[-1], CalibrationRecord)
     assert (bins["input"] == "default").all()
-    assert bins["bin"].tolist() == list(range(20))
-    assert bins["count"].sum() == len(ranked)
+    assert (bins["bin"].tolist(), bins["count"].sum()) == (list(range(20)), len(ranked))
     assert bins["probability"].sum() == pytest.approx(ranked.probability.sum())
 
 

@@ -4,19 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from epiprior_lab.evaluation.records import (
-    RANKS,
-    RECORDS,
-    CalibrationRecord,
-    PairRecord,
-    TableError,
-    Tables,
-    TimingRecord,
-    column_types,
-    read_frame,
-    to_frame,
-    write_frame,
-)
+from epiprior_lab.evaluation import records
+from epiprior_lab.evaluation.records import RANKS, RECORDS, PairRecord, Tables, TimingRecord, read_frame, write_frame
 from synthetic_tables import photograph_tables, study_tables, timing_table
 
 
@@ -40,38 +29,32 @@ def test_names_stay_text_and_what_is_not_known_is_empty(tmp_path):
     pairs = Tables.read([tmp_path]).pairs
     assert pairs["pair_id"].iloc[0] == "0000"
     assert pairs.loc[pairs["labels"] == "", "right_share"].isna().all()
-    runs = Tables.read([tmp_path]).runs
-    assert runs["iterations"].dtype == "Int64"
+    assert Tables.read([tmp_path]).runs["iterations"].dtype == "Int64"
 
 
-def test_ranks_hold_what_is_reported():
-    assert {1, 10, 100, 500, 1000, 10_000} <= set(RANKS)
-    assert list(RANKS) == sorted(set(RANKS))
-    columns = column_types(RECORDS["rankings"])
-    assert [name for name in columns if name.startswith("right_")] == [f"right_{rank}" for rank in RANKS]
-
-
-def test_a_table_without_rows_keeps_its_columns(tmp_path):
-    write_frame(to_frame(CalibrationRecord, []), tmp_path / "calibration.csv")
-    assert len(read_frame(CalibrationRecord, tmp_path / "calibration.csv")) == 0
+def test_a_table_without_rows_keeps_its_columns_and_others_their_types(tmp_path):
+    write_frame(records.to_frame(records.CalibrationRecord, []), tmp_path / "calibration.csv")
+    assert len(read_frame(records.CalibrationRecord, tmp_path / "calibration.csv")) == 0
     timings = timing_table(study_tables(pairs=2))
     write_frame(timings, tmp_path / "timings.csv")
     again = read_frame(TimingRecord, tmp_path / "timings.csv")
     pd.testing.assert_frame_equal(again, timings, rtol=1e-6)
     assert again["preprocessed"].dtype == bool
+    columns = records.column_types(RECORDS["rankings"])
+    assert [name for name in columns if name.startswith("right_")] == [f"right_{rank}" for rank in RANKS]
 
 
 def test_a_damaged_table_is_named(tmp_path):
-    path = tmp_path / "pairs.csv"
-    with pytest.raises(TableError, match=r"pairs\.csv: cannot be read"):
-        read_frame(PairRecord, path)
-    table = study_tables(pairs=1).pairs
-    write_frame(table.drop(columns="difficulty"), path)
-    with pytest.raises(TableError, match=r"pairs\.csv: no column 'difficulty'"):
-        read_frame(PairRecord, path)
-    write_frame(table.assign(features1="many"), path)
-    with pytest.raises(TableError, match=r"pairs\.csv: cannot be read"):
-        read_frame(PairRecord, path)
+    path, table = tmp_path / "pairs.csv", study_tables(pairs=1).pairs
+    for damaged, message in (
+        (None, "cannot be read"),
+        (table.drop(columns="difficulty"), "no column 'difficulty'"),
+        (table.assign(features1="many"), "cannot be read"),
+    ):
+        if damaged is not None:
+            write_frame(damaged, path)
+        with pytest.raises(records.TableError, match=rf"pairs\.csv: {message}"):
+            read_frame(PairRecord, path)
 
 
 def test_numbers_have_seven_digits(tmp_path):

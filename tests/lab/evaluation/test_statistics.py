@@ -15,9 +15,12 @@ def rng():
     return np.random.default_rng(5)
 
 
-def test_contribution_is_the_papers():
+def test_contribution_is_the_papers_and_over_no_success_infinite():
     np.testing.assert_allclose(st.contribution(27.0, 91.6), 2.3926, atol=1e-4)
     np.testing.assert_allclose(st.contribution([10, 0, 0], [5, 3, 0]), [-0.5, np.inf, 0])
+    got = st.paired_bootstrap([0, 0, 0], [1, 0, 1], draws=200, seed=0)
+    assert got.contribution.value == got.contribution.high == np.inf
+    assert not math.isnan(got.contribution.low)
 
 
 def test_weights_by_pair_are_multinomial():
@@ -30,14 +33,12 @@ def test_weights_by_pair_are_multinomial():
 
 
 def test_weights_by_scene_draw_whole_scenes():
-    groups = ["b", "a", "b", "c", "c", "c"]
-    weights = st.bootstrap_weights(6, draws=300, seed=2, groups=groups)
+    weights = st.bootstrap_weights(6, draws=300, seed=2, groups=["b", "a", "b", "c", "c", "c"])
     for row in weights:
         assert row[0] == row[2]
         assert row[3] == row[4] == row[5]
         counts = np.rint(row[[1, 0, 3]] / row[row > 0].min())
-        size = counts @ [1, 2, 3]
-        np.testing.assert_allclose(row[[1, 0, 3]], counts / size)
+        np.testing.assert_allclose(row[[1, 0, 3]], counts / (counts @ [1, 2, 3]))
     assert (weights[:, 1] == 0).any()
 
 
@@ -62,20 +63,6 @@ def test_intervals_equal_a_naive_bootstrap(rng):
         assert interval.low == pytest.approx(ordered[math.ceil(0.025 * 500) - 1])
         assert interval.high == pytest.approx(ordered[math.ceil(0.975 * 500) - 1])
     assert st.bootstrap_mean(without, draws=500, seed=7) == got.without
-
-
-def test_scene_interval_is_wider_for_alike_pairs():
-    values = np.repeat([0.0, 1.0, 1.0, 0.0, 1.0], 8)
-    scenes = [str(i // 8) for i in range(40)]
-    by_pair = st.bootstrap_mean(values, draws=2000, seed=0)
-    by_scene = st.bootstrap_mean(values, draws=2000, seed=0, groups=scenes)
-    assert by_scene.high - by_scene.low > 2 * (by_pair.high - by_pair.low)
-
-
-def test_contribution_over_no_success_is_infinite_not_nan():
-    got = st.paired_bootstrap([0, 0, 0], [1, 0, 1], draws=200, seed=0)
-    assert got.contribution.value == got.contribution.high == np.inf
-    assert not math.isnan(got.contribution.low)
 
 
 @pytest.mark.parametrize(
@@ -130,13 +117,19 @@ def test_calibration_bins(rng):
     right = rng.random(502) < p**2
     bins = measures.calibration_bins(p, right, bins=10)
     assert bins.brier_score == pytest.approx(np.mean([(a - b) ** 2 for a, b in zip(p, right, strict=True)]))
-    error = 0.0
+    error, curve = 0.0, []
     for b in range(10):
         inside = [i for i in range(502) if b / 10 <= p[i] < (b + 1) / 10 or (b == 9 and p[i] == 1)]
         assert bins.count[b] == len(inside)
+        curve.append([np.mean(p[inside]), np.mean(right[inside]), len(inside)])
         error += len(inside) / 502 * abs(np.mean(p[inside]) - np.mean(right[inside]))
+    np.testing.assert_allclose(bins.curve, curve)
     assert bins.expected_calibration_error == pytest.approx(error)
-    assert math.isnan(measures.calibration_bins(np.empty(0), np.empty(0, bool)).brier_score)
+    few = measures.calibration_bins(np.array([0.0, 0.1, 1.0]), np.array([False, True, True]), bins=4)
+    np.testing.assert_allclose(few.curve, [[0.05, 0.5, 2], [1.0, 1.0, 1]])  # without empty bins
+    none = measures.calibration_bins(np.empty(0), np.empty(0, bool))
+    assert none.curve.shape == (0, 3)
+    assert np.isnan([none.brier_score, none.expected_calibration_error]).all()
     for value in (1.2, np.nan):
         with pytest.raises(SettingsError, match=str(value)):
             measures.calibration_bins(np.array([value]), np.array([True]))

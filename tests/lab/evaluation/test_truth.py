@@ -5,28 +5,17 @@ import pytest
 
 from epiprior.errors import SettingsError
 from epiprior.geometry import sampson_distance
-from epiprior_lab.evaluation.truth import (
-    TruthSettings,
-    evaluation_points,
-    on_one_plane,
-    pair_truth,
-    true_roll_deg,
-    truth_settings,
-)
-from epiprior_lab.pairsets import Camera, DatasetError, Pair, read_pair_set
+from epiprior_lab.evaluation import truth as known
+from epiprior_lab.evaluation.truth import TruthSettings, evaluation_points, on_one_plane, pair_truth
+from epiprior_lab.labels.ground_truth import LabelSettings
+from epiprior_lab.pairsets import DatasetError, read_pair_set
 from epiprior_lab.params import TruthParams
-from synthetic import HEIGHT, WIDTH, K, rotation
-
-
-def camera_pair(tmp_path, t, R=None):
-    first = Camera(K=K, R=np.eye(3), t=np.zeros(3), width=WIDTH, height=HEIGHT)
-    R = rotation((0.1, 1, 0.2), 15) if R is None else R
-    second = Camera(K=K, R=R, t=np.asarray(t), width=WIDTH, height=HEIGHT)
-    return Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=first, camera2=second, difficulty="")
+from synthetic import HEIGHT, WIDTH
+from worlds import camera_pair, two_cameras
 
 
 def test_points_of_a_pair_with_cameras_only(tmp_path):
-    pair = camera_pair(tmp_path, (-2.0, 0.3, 0.4))
+    pair = camera_pair(tmp_path, two_cameras())
     x1, x2 = evaluation_points(pair)
     assert len(x1) == len(x2) > 80
     assert sampson_distance(pair.fundamental(), x1, x2).max() < 1e-9
@@ -34,23 +23,16 @@ def test_points_of_a_pair_with_cameras_only(tmp_path):
         assert (x >= 0).all()
         assert (x <= [WIDTH - 1, HEIGHT - 1]).all()
     assert np.ptp(x2, axis=0).min() > 300  # not all on one side
-    wrong = camera_pair(tmp_path, (-2.0, 1.3, 0.4)).fundamental()
-    assert sampson_distance(wrong, x1, x2).mean() > 10
+    assert sampson_distance(camera_pair(tmp_path, two_cameras((-2.0, 1.3, 0.4))).fundamental(), x1, x2).mean() > 10
     truth = pair_truth(pair, TruthSettings())
     assert (truth.labels, truth.points) == ("epipolar", "cameras")
     np.testing.assert_allclose(truth.F, pair.fundamental())
 
 
-def test_cameras_with_one_centre_decide_no_f(tmp_path):
-    pair = camera_pair(tmp_path, (0.0, 0.0, 0.0))
-    with pytest.raises(DatasetError, match="'p'"):
-        evaluation_points(pair)
-
-
-def test_a_pair_without_any_truth_is_refused(tmp_path):
-    pair = Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, camera1=None, camera2=None, difficulty="")
-    with pytest.raises(DatasetError, match="'p'"):
-        evaluation_points(pair)
+def test_cameras_with_one_centre_and_a_pair_without_any_truth_are_refused(tmp_path):
+    for cameras in (two_cameras((0.0, 0.0, 0.0)), (None, None)):
+        with pytest.raises(DatasetError, match="'p'"):
+            evaluation_points(camera_pair(tmp_path, cameras))
 
 
 def test_an_f_is_fitted_to_control_points_unless_they_lie_on_a_plane(pairs, relief, tmp_path):
@@ -92,23 +74,20 @@ def test_difficulty_follows_the_share_of_right_matches():
 
 
 def test_settings_of_a_parameter_file():
-    params = TruthParams(
-        tolerance_px=2.0, tolerance_sigma=0.25, depth_tolerance=0.03, epipolar_px=1.5, plane_px=4.0, one_plane=None,
-        easy_share=0.6, hard_share=0.1,
-    )  # fmt: skip
-    found = truth_settings(params)
-    assert (found.labels.tolerance_px, found.labels.epipolar_px, found.plane_px) == (2.0, 1.5, 4.0)
-    assert (found.one_plane, found.easy_share, found.hard_share) == ((), 0.6, 0.1)
+    labels = {"tolerance_px": 2.0, "tolerance_sigma": 0.25, "depth_tolerance": 0.03, "epipolar_px": 1.5}
+    own = {"plane_px": 4.0, "easy_share": 0.6, "hard_share": 0.1}
+    found = known.truth_settings(TruthParams(**labels, **own, one_plane=None))
+    assert found == TruthSettings(labels=LabelSettings(**labels), one_plane=(), **own)
 
 
 @pytest.mark.parametrize("degrees", [-150, -30, 0, 37, 90])
 def test_true_roll_turns_directions_of_the_image(degrees, tmp_path):
     turn = np.deg2rad(degrees)
     R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    pair = camera_pair(tmp_path, (0.1, 0, 0), R)
+    pair = camera_pair(tmp_path, two_cameras((0.1, 0, 0), R=R))
     # A direction to the right in image 1 points down in image 2 after 90 degrees: clockwise on the screen.
     ahead, right = np.array([[0.0, 0, 1e6], [1e3, 0, 1e6]])
     (p, _), (q, _) = (pair.camera2.project(point[None]) for point in (ahead, right))
     step = (q - p)[0]
     assert np.degrees(np.arctan2(step[1], step[0])) == pytest.approx(degrees, abs=1e-6)
-    assert true_roll_deg(pair) == pytest.approx(degrees)
+    assert known.true_roll_deg(pair) == pytest.approx(degrees)

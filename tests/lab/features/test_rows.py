@@ -1,6 +1,6 @@
 """Training rows: presets share what is detected and how matches are labelled, and nothing changes by it."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,21 +11,16 @@ from epiprior.presets import find_preset
 from epiprior.ranking import hypothesis
 from epiprior_lab.features import detection, rows
 from epiprior_lab.labels.ground_truth import label_matches
-from epiprior_lab.pairsets import Pair
-from pictures import relief_pair, save
 
 PRESETS = ("paper", "default")
 
 
 @pytest.fixture(scope="module")
-def pair(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("relief")
-    left, right = relief_pair()
-    np.savetxt(folder / "F.txt", [[0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    return Pair(
-        pair_id="relief-0", scene="relief", image1=save(folder / "1.png", left), image2=save(folder / "2.png", right),
-        camera1=None, camera2=None, difficulty="", fundamental_path=folder / "F.txt",
-    )  # fmt: skip
+def pair(pairs, tmp_path_factory):
+    """The relief with its true F: rows correspond."""
+    path = tmp_path_factory.mktemp("relief") / "F.txt"
+    np.savetxt(path, [[0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    return replace(pairs[0], control_points_path=None, fundamental_path=path)
 
 
 def equal(a, b):

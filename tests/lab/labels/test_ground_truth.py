@@ -1,29 +1,17 @@
 """Labels, control points and the true F, on a small world whose depth is known."""
 
 import dataclasses
-import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from epiprior.errors import FeatureError, SettingsError
-from epiprior_lab.labels.ground_truth import (
-    LabelSettings,
-    control_points_from_depth,
-    errors_px,
-    label_matches,
-    reference_fundamental,
-)
-from epiprior_lab.pairsets import (
-    DatasetError,
-    Pair,
-    depth_at,
-    encode_depth,
-    read_pair_set,
-    reproject,
-    view_difference,
-    write_control_points,
-)
+from epiprior_lab import pairsets
+from epiprior_lab.labels import ground_truth
+from epiprior_lab.labels.ground_truth import LabelSettings, errors_px, label_matches, reference_fundamental
+from epiprior_lab.pairsets import DatasetError, Pair, depth_at, encode_depth, read_pair_set, reproject, view_difference
 from epiprior_lab.scenes.render import render_depth
 from epiprior_lab.stages import ground_truth as stage
 from epiprior_lab.stages import render as render_stage
@@ -40,33 +28,21 @@ def depths():
 
 @pytest.fixture
 def pair(tmp_path, depths):
-    paths = []
-    for k, depth in enumerate(depths):
-        paths.append(tmp_path / f"{k}.npz")
-        paths[-1].write_bytes(encode_depth(depth))
-    return Pair(
-        pair_id="p",
-        scene="s",
-        image1=tmp_path,
-        image2=tmp_path,
-        camera1=CAMERAS[0],
-        camera2=CAMERAS[1],
-        difficulty="",
-        depth_paths=(paths[0], paths[1]),
-    )
+    paths = (tmp_path / "1.npz", tmp_path / "2.npz")
+    for path, depth in zip(paths, depths, strict=True):
+        path.write_bytes(encode_depth(depth))
+    values = {"camera1": CAMERAS[0], "camera2": CAMERAS[1], "difficulty": "", "depth_paths": paths}
+    return Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, **values)
 
 
 @pytest.fixture(scope="module")
 def points(depths):
-    return control_points_from_depth(CAMERAS, depths, count=200, seed=1)
+    return ground_truth.control_points_from_depth(CAMERAS, depths, count=200, seed=1)
 
 
 def label(pair, x1, x2, sigma=2.0, **settings):
     scale = np.full(len(x1), sigma)
     return label_matches(pair, x1, x2, scale, scale, settings=LabelSettings(**settings))
-
-
-# --- labels from depth
 
 
 def test_true_matches_are_right_and_moved_ones_are_wrong(pair, points):
@@ -122,16 +98,6 @@ def test_a_feature_beside_the_rim_of_its_object_is_right(pair, depths):
     assert not label(pair, beside - [0.0, 6.0], meant - [0.0, 6.0]).any()
 
 
-def test_no_matches_give_no_labels(pair):
-    empty = np.empty((0, 2))
-    assert label(pair, empty, empty).shape == (0,)
-
-
-def test_bad_points_are_refused(pair):
-    with pytest.raises(FeatureError, match="x2"):
-        label(pair, np.zeros((1, 2)), np.full((1, 2), np.nan))
-
-
 @pytest.mark.parametrize(
     "change", [{"tolerance_px": 0}, {"epipolar_px": -1}, {"tolerance_sigma": -1}, {"depth_tolerance": 1.0}]
 )
@@ -140,7 +106,10 @@ def test_impossible_tolerances_are_refused(change):
         LabelSettings(**change)
 
 
-# --- labels without depth
+def test_bad_points_are_refused_and_no_matches_give_no_labels(pair):
+    assert label(pair, np.empty((0, 2)), np.empty((0, 2))).shape == (0,)
+    with pytest.raises(FeatureError, match="x2"):
+        label(pair, np.zeros((1, 2)), np.full((1, 2), np.nan))
 
 
 def test_without_depth_the_epipolar_line_decides(pair, points):
@@ -154,7 +123,7 @@ def test_without_depth_the_epipolar_line_decides(pair, points):
 
 
 def with_points_only(pair, tmp_path, x1, x2):
-    write_control_points(tmp_path / "p.csv", x1, x2)
+    pairsets.write_control_points(tmp_path / "p.csv", x1, x2)
     return dataclasses.replace(
         pair, camera1=None, camera2=None, depth_paths=None, control_points_path=tmp_path / "p.csv"
     )
@@ -162,42 +131,29 @@ def with_points_only(pair, tmp_path, x1, x2):
 
 def test_control_points_alone_give_nearly_the_f_of_the_cameras(pair, points, tmp_path):
     rng = np.random.default_rng(0)
-    noisy = [x + rng.normal(0, 0.3, x.shape) for x in points]
-    only = with_points_only(pair, tmp_path, *noisy)
+    only = with_points_only(pair, tmp_path, *(x + rng.normal(0, 0.3, x.shape) for x in points))
     assert errors_px(reference_fundamental(only), *points).mean() < 0.3
     assert label(only, *points).mean() > 0.98
-
-
-def test_too_few_control_points_decide_nothing(pair, points, tmp_path):
     only = with_points_only(pair, tmp_path, points[0][:7], points[1][:7])
     with pytest.raises(DatasetError, match=r"'p'.* no fundamental matrix"):
         label(only, *points)
-
-
-def test_cameras_with_one_centre_decide_nothing(pair):
-    same = dataclasses.replace(pair, camera2=pair.camera1, depth_paths=None)
+    same = dataclasses.replace(pair, camera2=pair.camera1, depth_paths=None)  # one centre decides nothing
     with pytest.raises(DatasetError, match="no fundamental matrix"):
         reference_fundamental(same)
 
 
-# --- control points
-
-
-def test_control_points_cover_the_whole_overlap(depths, points):
+def test_control_points_cover_the_whole_overlap_and_depend_on_the_seed_alone(depths, points):
     x1, _ = points
-    assert len(x1) == 200
-    assert len(np.unique(x1, axis=0)) == 200
-    dense, _ = control_points_from_depth(CAMERAS, depths, count=20_000, seed=0)
+    assert len(x1) == len(np.unique(x1, axis=0)) == 200
+    dense, _ = ground_truth.control_points_from_depth(CAMERAS, depths, count=20_000, seed=0)
     for k in range(2):  # every tenth of the overlap's extent holds some
-        borders = np.quantile(dense[:, k], np.linspace(0, 1, 11))
-        counts, _ = np.histogram(x1[:, k], borders)
+        counts, _ = np.histogram(x1[:, k], np.quantile(dense[:, k], np.linspace(0, 1, 11)))
         assert counts.min() > 8, counts
-
-
-def test_control_points_depend_on_the_seed_alone(depths):
-    first, again, other = (control_points_from_depth(CAMERAS, depths, count=50, seed=s) for s in (3, 3, 4))
+    first, again, other = (ground_truth.control_points_from_depth(CAMERAS, depths, count=50, seed=s) for s in (3, 3, 4))
     np.testing.assert_array_equal(first[1], again[1])
     assert not np.array_equal(first[0], other[0])
+    nothing = (depths[0], np.full_like(depths[0], np.inf))
+    assert [len(x) for x in ground_truth.control_points_from_depth(CAMERAS, nothing, count=50, seed=0)] == [0, 0]
 
 
 def test_depth_between_pixels_is_exact_on_a_plane_and_unmixed_at_a_rim():
@@ -212,70 +168,36 @@ def test_depth_between_pixels_is_exact_on_a_plane_and_unmixed_at_a_rim():
     assert np.isinf(depth_at(depth, outside)).all()
 
 
-def test_without_overlap_there_are_no_control_points(depths):
-    nothing = np.full_like(depths[0], np.inf)
-    x1, x2 = control_points_from_depth(CAMERAS, (depths[0], nothing), count=50, seed=0)
-    assert len(x1) == len(x2) == 0
-
-
-def test_errors_are_sampson_distances(pair, points):
-    F = reference_fundamental(pair)
-    errors = errors_px(F, points[0], points[1] + [0.0, 2.0])
-    assert errors.shape == (200,)
-    assert 0.3 < errors.mean() < 2.0
-
-
-# --- how views differ
-
-
 def test_differences_of_views_are_measured(depths):
     seen = view_difference(CAMERAS, depths)
     assert seen.roll_deg == pytest.approx(15, abs=3)
     assert 15 < seen.angle_deg < 60
-    assert 0.3 < seen.overlap < 1
-    assert 1 <= seen.scale_ratio < 1.5
-
-
-def test_a_camera_and_itself_do_not_differ(depths):
-    seen = view_difference((CAMERAS[0],) * 2, (depths[0],) * 2)
-    assert (seen.angle_deg, seen.roll_deg) == pytest.approx((0, 0), abs=1e-5)
-    assert (seen.overlap, seen.scale_ratio) == pytest.approx((1, 1))
-
-
-def test_twice_as_far_is_half_as_large():
-    world, near, far = room(), camera_at(0.0, z=-12.0), camera_at(0.0, z=-24.0)
-    seen = view_difference((near, far), tuple(render_depth(world, camera) for camera in (near, far)))
+    assert 0.3 < seen.overlap < 1 <= seen.scale_ratio < 1.5
+    same = view_difference((CAMERAS[0],) * 2, (depths[0],) * 2)
+    assert (same.angle_deg, same.roll_deg) == pytest.approx((0, 0), abs=1e-5)
+    assert (same.overlap, same.scale_ratio) == pytest.approx((1, 1))
+    nothing = view_difference(CAMERAS, (depths[0], np.full_like(depths[1], np.inf)))
+    assert nothing.overlap == 0
+    assert np.isnan(nothing.angle_deg)
+    cameras = camera_at(0.0, z=-12.0), camera_at(0.0, z=-24.0)  # twice as far is half as large
+    seen = view_difference(cameras, tuple(render_depth(room(), camera) for camera in cameras))
     assert 1.5 < seen.scale_ratio < 2.5
-
-
-def test_views_without_overlap_have_no_angle(depths):
-    seen = view_difference(CAMERAS, (depths[0], np.full_like(depths[1], np.inf)))
-    assert seen.overlap == 0
-    assert np.isnan(seen.angle_deg)
-
-
-# --- the stages
-
-
-PARAMS = (stage.Path(__file__).parents[3] / "params.yaml").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
 def test_the_stages_write_pair_sets_with_control_points(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("EPIPRIOR_WORKERS", "1")
-    few = "validation: {facades-easy: 1, facades-hard: 1, open: 1, rolled: 1}"
-    small, changed = re.subn(r"validation: \{.*\}", few, PARAMS)
-    assert changed == 1
-    small = small.replace("image_width: 1024", "image_width: 160").replace("image_height: 768", "image_height: 120")
-    assert "image_width: 160" in small
-    assert "image_height: 120" in small
-    (tmp_path / "params.yaml").write_text(small)
+    params = yaml.safe_load((Path(__file__).parents[3] / "params.yaml").read_text(encoding="utf-8"))
+    families = params["scenes"]["families"]
+    params["scenes"]["pairs"]["validation"] = dict.fromkeys(families, 1)
+    params["scenes"] |= {"image_width": 160, "image_height": 120}
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
     monkeypatch.setattr("sys.argv", ["stage", "--split", "validation"])
     render_stage.main()
     stage.main()
     scenes = set()
-    for family in ("facades-easy", "facades-hard", "open", "rolled"):
+    for family in families:
         truth = tmp_path / "data" / "ground_truth" / "validation" / family
         pair_set = read_pair_set(tmp_path / "data" / "scenes" / "validation" / family, truth / "control_points")
         (pair,) = pair_set.pairs
@@ -287,6 +209,6 @@ def test_the_stages_write_pair_sets_with_control_points(tmp_path, monkeypatch):
         assert label(pair, x1, x2).mean() > 0.97  # files are rounded, and a rim at 160 px is steep
         header, row = (truth / "summary.csv").read_text().splitlines()
         assert header.startswith("pair_id,scene,angle_deg,overlap,scale_ratio,roll_deg,control_points")
-        assert row.split(",")[0] == pair.pair_id
+        assert row.startswith(f"{pair.pair_id},")
         assert row.endswith(",100")
-    assert len(scenes) == 4
+    assert len(scenes) == len(families) == 4

@@ -1,61 +1,31 @@
 """The uniform pair-set format: what is written is read back, and what is wrong is named with file and line."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
 from epiprior.geometry import sampson_distance
-from epiprior_lab.pairsets import (
-    Camera,
-    DatasetError,
-    PairFiles,
-    check_pair_set,
-    encode_depth,
-    fundamental_from_cameras,
-    image_size,
-    known_sets,
-    npz_bytes,
-    read_depth,
-    read_pair_set,
-    reproject,
-    transfer,
-    transfer_distance,
-    write_control_points,
-    write_pair_set,
-)
-from epiprior_lab.pairsets.cameras import CameraError
-from epiprior_lab.pairsets.files import write_matrix
+from epiprior_lab import pairsets
+from epiprior_lab.pairsets import PairFiles, check_pair_set, known_sets, read_pair_set, transfer, transfer_distance
+from epiprior_lab.pairsets.cameras import Camera, CameraError, fundamental_from_cameras, reproject
+from epiprior_lab.pairsets.files import DatasetError, encode_depth, image_size, npz_bytes, read_depth, write_matrix
 from epiprior_lab.scenes.photography import encode_jpeg
 from worlds import HEIGHT, WIDTH, camera_at
-
-REAL = Path(__file__).parents[4] / "shared" / "datasets"
-REAL_SETS = sorted(path.parent for path in REAL.glob("*/pairs.csv")) or [REAL]
 
 
 def files(pair_id="p", **changes):
     jpeg = encode_jpeg(np.full((HEIGHT, WIDTH, 3), 90, np.uint8), 90)
     depth = np.full((HEIGHT, WIDTH), np.inf, np.float32)
     depth[50:] = np.linspace(2, 30, WIDTH, dtype=np.float32)
-    values = {
-        "pair_id": pair_id,
-        "scene": f"scene of {pair_id}",
-        "difficulty": "angle=3deg;overlap=0.5",
-        "camera1": camera_at(-1.0),
-        "camera2": camera_at(1.5, roll_deg=10),
-        "jpeg1": jpeg,
-        "jpeg2": jpeg,
-        "depth1": encode_depth(depth),
-        "depth2": encode_depth(depth),
-    }
-    return PairFiles(**(values | changes))
+    values = {"pair_id": pair_id, "scene": f"scene of {pair_id}", "difficulty": "angle=3deg;overlap=0.5"}
+    values |= {"camera1": camera_at(-1.0), "camera2": camera_at(1.5, roll_deg=10), "jpeg1": jpeg, "jpeg2": jpeg}
+    return PairFiles(**(values | {f"depth{side}": encode_depth(depth) for side in (1, 2)} | changes))
 
 
 @pytest.fixture
 def root(tmp_path):
-    write_pair_set(tmp_path / "family", [files("p"), files("q")])
+    pairsets.write_pair_set(tmp_path / "family", [files("p"), files("q")])
     return tmp_path / "family"
 
 
@@ -65,32 +35,29 @@ def replace_in(path, old, new):
     path.write_text(text.replace(old, new, 1))
 
 
-# --- round trip
-
-
-def test_what_is_written_is_read_back(root):
+def test_what_is_written_is_read_back(root, tmp_path):
     pair_set = read_pair_set(root)
     assert pair_set.name == "family"
     assert [pair.pair_id for pair in pair_set.pairs] == ["p", "q"]
-    pair = pair_set.pairs[1]
+    pair, wanted = pair_set.pairs[1], files("q")
     assert (pair.scene, pair.difficulty) == ("scene of q", "angle=3deg;overlap=0.5")
-    wanted = files("q")
     for got, want in ((pair.camera1, wanted.camera1), (pair.camera2, wanted.camera2)):
-        np.testing.assert_array_equal(got.K, want.K)
-        np.testing.assert_array_equal(got.R, want.R)
-        np.testing.assert_array_equal(got.t, want.t)
+        for name in ("K", "R", "t"):
+            np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
         assert (got.width, got.height) == (WIDTH, HEIGHT)
     depth1, _ = pair.depths()
     assert np.isinf(depth1[:50]).all()
     np.testing.assert_allclose(depth1[50], np.linspace(2, 30, WIDTH), rtol=1e-5)
     assert len(pair.files) == 4
     assert all(path.is_file() for path in pair.files)
-
-
-def test_writing_twice_gives_the_same_bytes(root, tmp_path):
-    write_pair_set(tmp_path / "again", [files("p"), files("q")])
+    pairsets.write_pair_set(tmp_path / "again", [files("p"), files("q")])  # gives the same bytes
     for path in sorted(root.rglob("*.*")):
         assert path.read_bytes() == (tmp_path / "again" / path.relative_to(root)).read_bytes(), path
+    (root / "depth" / "q_2.npz").unlink()
+    pair = read_pair_set(root).pairs[1]
+    assert pair.depths() is None
+    with pytest.raises(DatasetError, match="no depth maps"):
+        pair.depth_views()
 
 
 def test_control_points_are_found_in_the_set_or_in_another_folder(root, tmp_path):
@@ -99,22 +66,14 @@ def test_control_points_are_found_in_the_set_or_in_another_folder(root, tmp_path
     x2 = np.round(x2, 6)
     with pytest.raises(DatasetError, match=r"'p' of .* has no control points"):
         read_pair_set(root).pairs[0].control_points()
-    write_control_points(tmp_path / "points" / "p.csv", x1, x2)
+    pairsets.write_control_points(tmp_path / "points" / "p.csv", x1, x2)
     pair = read_pair_set(root, tmp_path / "points").pairs[0]
     np.testing.assert_array_equal(pair.control_points()[0], x1)
     np.testing.assert_array_equal(pair.control_points()[1], x2)
     with pytest.raises(DatasetError, match="nowhere"):
         read_pair_set(root, tmp_path / "nowhere")
-    write_control_points(root / "control_points" / "p.csv", np.empty((0, 2)), np.empty((0, 2)))
+    pairsets.write_control_points(root / "control_points" / "p.csv", np.empty((0, 2)), np.empty((0, 2)))
     assert [x.shape for x in read_pair_set(root).pairs[0].control_points()] == [(0, 2), (0, 2)]
-
-
-def test_pairs_without_depth_have_none(root):
-    (root / "depth" / "p_2.npz").unlink()
-    pair = read_pair_set(root).pairs[0]
-    assert pair.depths() is None
-    with pytest.raises(DatasetError, match="no depth maps"):
-        pair.depth_views()
 
 
 def test_encoded_depth_is_close_and_never_nearer_than_its_precision(tmp_path):
@@ -138,9 +97,6 @@ def test_an_archive_holds_its_arrays_and_is_the_same_each_time(tmp_path):
         for name, array in arrays.items():
             np.testing.assert_array_equal(stored[name], array)
             assert stored[name].dtype == array.dtype
-
-
-# --- errors name file and line
 
 
 @pytest.mark.parametrize(
@@ -168,6 +124,9 @@ def test_damage_is_named_with_file_and_line(root, file, old, new, message):
 
 
 def test_damage_in_what_is_read_later_is_named_too(root):
+    done = []
+    assert check_pair_set(root, on_pair=lambda: done.append(1)).name == "family"
+    assert len(done) == 2
     (root / "depth" / "p_1.npz").write_bytes(b"no archive")
     (root / "depth" / "q_1.npz").write_bytes(encode_depth(np.ones((3, 4), np.float32)))
     first, second = read_pair_set(root).pairs
@@ -175,6 +134,8 @@ def test_damage_in_what_is_read_later_is_named_too(root):
         first.depths()
     with pytest.raises(DatasetError, match=r"q_1\.npz: depth has shape \(3, 4\)"):
         second.depths()
+    with pytest.raises(DatasetError, match=r"p_1\.npz: cannot be read"):
+        check_pair_set(root)
 
 
 def test_control_points_are_checked_when_a_set_is_read(root):
@@ -188,27 +149,28 @@ def test_control_points_are_checked_when_a_set_is_read(root):
         read_pair_set(root)
     x1 = np.random.default_rng(0).uniform(60, 180, (20, 2))
     x2, _ = reproject(camera_at(-1.0), camera_at(1.5, roll_deg=10), x1, np.linspace(9, 14, 20))
-    write_control_points(points, x1, x2)
+    pairsets.write_control_points(points, x1, x2)
     read_pair_set(root)
-    write_control_points(points, x2, x1)
+    pairsets.write_control_points(points, x2, x1)
     with pytest.raises(DatasetError, match=r"pairs\.csv, line 2: the F of the cameras .* its control points .*p\.csv"):
         read_pair_set(root)
 
 
 def test_an_image_of_another_size_than_its_camera_is_named(root):
-    (root / "images" / "q_2.jpg").write_bytes(encode_jpeg(np.zeros((HEIGHT, 100, 3), np.uint8), 90))
-    with pytest.raises(DatasetError, match=r"pairs\.csv, line 3: .*q_2\.jpg is 100 x 240, its camera .* 320 x 240"):
-        read_pair_set(root)
-    (root / "images" / "q_2.jpg").write_bytes(b"no image")
-    with pytest.raises(DatasetError, match=r"q_2\.jpg: is no image"):
-        read_pair_set(root)
+    for content, message in (
+        (
+            encode_jpeg(np.zeros((HEIGHT, 100, 3), np.uint8), 90),
+            r"pairs\.csv, line 3: .*q_2\.jpg is 100 x 240, .* 320 x 240",
+        ),
+        (b"no image", r"q_2\.jpg: is no image"),
+    ):
+        (root / "images" / "q_2.jpg").write_bytes(content)
+        with pytest.raises(DatasetError, match=message):
+            read_pair_set(root)
 
 
-# --- homographies and fundamental matrices
-
-
-@pytest.mark.parametrize("kind", ["homography", "fundamental"])
-def test_a_matrix_as_ground_truth(root, kind):
+@pytest.mark.parametrize(("kind", "truth"), [("homography", "plane"), ("fundamental", "epipolar")])
+def test_a_matrix_as_ground_truth(root, kind, truth):
     replace_in(root / "pairs.csv", ",cameras,", f",{kind},")
     with pytest.raises(DatasetError, match=rf"pairs\.csv, line 2: no {kind} .*p\.txt"):
         read_pair_set(root)
@@ -217,27 +179,25 @@ def test_a_matrix_as_ground_truth(root, kind):
     path.write_text("0 0 0\n0 0 -1\n0 0 1\n")
     with pytest.raises(DatasetError, match=r"p\.txt: the matrix (is singular|has a rank below 2)"):
         read_pair_set(root)
-    matrix = np.array([[0.9, 0.1, 20.0], [-0.1, 1.1, 3.0], [1e-4, 0, 1.0]])
-    if kind == "fundamental":
-        matrix = fundamental_from_cameras(camera_at(-1.0), camera_at(1.5))
+    cameras, x1 = (camera_at(-1.0), camera_at(1.5)), np.random.default_rng(0).uniform(80, 160, (20, 2))
+    if kind == "homography":
+        matrix = np.array([[0.9, 0.1, 20.0], [-0.1, 1.1, 3.0], [1e-4, 0, 1.0]])
+        x2 = transfer(matrix, x1)
+    else:
+        matrix = fundamental_from_cameras(*cameras)
+        x2, _ = reproject(*cameras, x1, np.linspace(9, 14, 20))
     write_matrix(path, -5 * matrix)
     pair, other = read_pair_set(root).pairs
     got = getattr(pair, kind)()
     np.testing.assert_allclose(got / got[2, 2], matrix / matrix[2, 2], atol=1e-12)
-    assert pair.camera1 is None
+    assert (pair.camera1, other.homography()) == (None, None)
+    assert (pair.truth, other.truth) == (truth, "3D")
     assert path in pair.files
-    assert (pair.truth, other.truth) == ("plane" if kind == "homography" else "epipolar", "3D")
-    assert other.homography() is None
     assert pair.sizes() == ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
     # Control points must fit it.
-    x1 = np.random.default_rng(0).uniform(80, 160, (20, 2))
-    if kind == "homography":
-        x2 = transfer(matrix, x1)
-    else:
-        x2, _ = reproject(camera_at(-1.0), camera_at(1.5), x1, np.linspace(9, 14, 20))
-    write_control_points(root / "control_points" / "p.csv", x1, x2)
+    pairsets.write_control_points(root / "control_points" / "p.csv", x1, x2)
     read_pair_set(root)
-    write_control_points(root / "control_points" / "p.csv", x1, x2 + [0.0, 8.0])
+    pairsets.write_control_points(root / "control_points" / "p.csv", x1, x2 + [0.0, 8.0])
     with pytest.raises(DatasetError, match=rf"pairs\.csv, line 2: the ({kind}|F) .*p\.txt of pair 'p' .*p\.csv"):
         read_pair_set(root)
 
@@ -260,18 +220,6 @@ def test_turned_photographs_have_the_size_that_opencv_sees(tmp_path):
         assert cv2.imread(str(tmp_path / f"turned.{suffix}")).shape == (30, 20, 3)
 
 
-def test_the_whole_check_reads_depth_maps_too(root):
-    done = []
-    assert check_pair_set(root, on_pair=lambda: done.append(1)).name == "family"
-    assert len(done) == 2
-    (root / "depth" / "q_1.npz").write_bytes(b"no archive")
-    with pytest.raises(DatasetError, match=r"q_1\.npz: cannot be read"):
-        check_pair_set(root)
-
-
-# --- known sets
-
-
 def test_known_sets_say_whether_they_are_present(root):
     paper = known_sets(paper=True)
     assert [known.name for known in paper] == ["zubud1", "zubud2", "blogs", "usac", "urban", "open1", "open2"]
@@ -282,24 +230,17 @@ def test_known_sets_say_whether_they_are_present(root):
     assert paper[0].present(root.parent)
 
 
-def test_a_folder_that_is_no_pair_set_is_named(tmp_path, root):
+def test_a_folder_that_is_no_pair_set_is_named(tmp_path):
     with pytest.raises(DatasetError, match=r"pairs\.csv: cannot be read"):
         read_pair_set(tmp_path)
-    (root / "pairs.csv").write_text("pair_id,image1,image2,gt,scene,difficulty\n")
-    with pytest.raises(DatasetError, match="no pair"):
-        read_pair_set(root)
-    (root / "pairs.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DatasetError, match="cannot be read"):
-        read_pair_set(root)
-
-
-@pytest.mark.parametrize("pairs", [[], [files("p"), files("p")]])
-def test_nothing_and_repeated_pairs_are_not_written(tmp_path, pairs):
-    with pytest.raises(DatasetError, match="pair ids"):
-        write_pair_set(tmp_path / "set", pairs)
-
-
-# --- cameras
+    header = b"pair_id,image1,image2,gt,scene,difficulty\n"
+    for content, message in ((header, "no pair"), (b"\xff\xfe\x00", "cannot be read")):
+        (tmp_path / "pairs.csv").write_bytes(content)
+        with pytest.raises(DatasetError, match=message):
+            read_pair_set(tmp_path)
+    for pairs in ([], [files("p"), files("p")]):
+        with pytest.raises(DatasetError, match="pair ids"):
+            pairsets.write_pair_set(tmp_path / "set", pairs)
 
 
 def test_reprojection_there_and_back():
@@ -310,19 +251,11 @@ def test_reprojection_there_and_back():
     back, depth = reproject(*cameras[::-1], x2, depth2)
     np.testing.assert_allclose(back, x1, atol=1e-9)
     np.testing.assert_allclose(depth, depth1)
-    F = fundamental_from_cameras(*cameras)
-    assert sampson_distance(F, x1, x2).max() < 1e-9
-    np.testing.assert_allclose(np.linalg.norm(cameras[0].centre - cameras[1].centre), 4.0, atol=1e-12)
-
-
-def test_points_behind_a_camera_have_no_pixel():
+    assert sampson_distance(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-9
+    assert fundamental_from_cameras(camera_at(1.0), camera_at(1.0, roll_deg=40)) is None  # one centre decides no F
     x2, depth2 = reproject(camera_at(0.0), camera_at(0.0, z=-3.0), np.array([[160.0, 120.0]]), np.array([5.0]))
-    assert np.isnan(x2).all()
+    assert np.isnan(x2).all()  # behind the camera there is no pixel
     assert depth2[0] < 0
-
-
-def test_one_centre_decides_no_f():
-    assert fundamental_from_cameras(camera_at(1.0), camera_at(1.0, roll_deg=40)) is None
 
 
 @pytest.mark.parametrize(
@@ -339,23 +272,3 @@ def test_impossible_cameras_are_refused(change, message):
     good = {"K": np.diag([100.0, 100.0, 1.0]), "R": np.eye(3), "t": np.zeros(3), "width": 10, "height": 10}
     with pytest.raises(CameraError, match=message):
         Camera(**(good | change))
-
-
-# --- photographs
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not REAL.is_dir(), reason="the sets of photographs are not beside this checkout")
-@pytest.mark.parametrize("folder", REAL_SETS, ids=lambda path: path.name)
-def test_every_set_of_photographs_is_read(folder):
-    pair_set = read_pair_set(folder)
-    assert pair_set.name == folder.name
-    assert len(pair_set.pairs) >= 3
-    for pair in pair_set.pairs:
-        assert pair.depths() is None
-        F = pair.fundamental()
-        assert (F is None) == (pair.camera1 is None)
-        if pair.control_points_path is not None:
-            x1, x2 = pair.control_points()
-            assert len(x1) >= 7
-            assert F is None or np.median(sampson_distance(F, x1, x2)) < 1

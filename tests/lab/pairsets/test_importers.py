@@ -13,16 +13,8 @@ from epiprior.errors import EpipriorError, ImageError, OutputError
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior_lab.cli import app
 from epiprior_lab.labels.ground_truth import label_matches, reference_fundamental
-from epiprior_lab.pairsets import DatasetError, fundamental_from_cameras, known_sets, read_pair_set, transfer
-from epiprior_lab.pairsets.importers import (
-    FoundPair,
-    Photograph,
-    find_match_files,
-    find_pairs,
-    find_sequences,
-    find_usac,
-    write_found,
-)
+from epiprior_lab.pairsets import DatasetError, fundamental_from_cameras, importers, known_sets, read_pair_set, transfer
+from epiprior_lab.pairsets.importers import find_match_files, find_pairs, find_sequences, find_usac, write_found
 from epiprior_lab.pairsets.importers.output import shrinking
 from epiprior_lab.pairsets.importers.sources import read_rows
 from pictures import save, texture
@@ -61,14 +53,15 @@ def assert_points(pair, x1, x2, tolerance=1e-5):
     np.testing.assert_allclose(got2, x2, atol=tolerance)
 
 
-# --- kusvod2
+def pair_of_pictures(folder, name):
+    for side, letter in enumerate("AB"):
+        picture(folder / f"{name}{letter}.png", side)
+    return folder
 
 
 @pytest.fixture
 def kusvod2(tmp_path):
-    folder = tmp_path / "kusvod2"
-    picture(folder / "shoutA.png", 1)
-    picture(folder / "shoutB.png", 2)
+    folder = pair_of_pictures(tmp_path / "kusvod2", "shout")
     scipy.io.savemat(folder / "shout_vpts.mat", {"validation": {"pts": homogeneous(*matches()), "note": "x"}})
     return folder
 
@@ -85,21 +78,16 @@ def test_kusvod2(kusvod2, tmp_path):
 def test_damage_of_kusvod2_is_named(kusvod2):
     path = kusvod2 / "shout_vpts.mat"
     (kusvod2 / "shoutB.png").unlink()
+    cut, four_rows = path.read_bytes()[:200], {"validation": {"pts": np.ones((4, 9))}}
     for damage, message in (
         (lambda: None, "no image .*shoutB"),
-        (lambda: path.write_bytes(path.read_bytes()[:200]), "cannot be read as a MATLAB file"),
-        (
-            lambda: scipy.io.savemat(path, {"validation": {"pts": np.ones((4, 9))}}),
-            r"validation\.pts has shape \(4, 9\)",
-        ),
+        (lambda: path.write_bytes(cut), "cannot be read as a MATLAB file"),
+        (lambda: scipy.io.savemat(path, four_rows), r"validation\.pts has shape \(4, 9\)"),
         (lambda: scipy.io.savemat(path, {"other": 1}), r"holds no validation\.pts"),
     ):
         damage()
         with pytest.raises(DatasetError, match=rf"shout_vpts\.mat: {message}"):
             find_match_files("kusvod2", kusvod2)
-
-
-# --- AdelaideRMF
 
 
 def labelled():
@@ -112,42 +100,32 @@ def labelled():
 
 def test_adelaidermf_from_mat(tmp_path):
     x1, x2, labels = labelled()
-    colour = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    colour[:, :, 0] = 250  # red, as MATLAB orders colours
-    (tmp_path / "mat").mkdir()
-    scipy.io.savemat(
-        tmp_path / "mat/hall.mat",
-        {"img1": colour, "img2": colour, "data": homogeneous(x1, x2), "score": np.ones((1, 40)), "label": labels},
-    )
-    (pair,) = write_found(tmp_path / "set", find_match_files("adelaidermf", tmp_path / "mat")).pairs
+    red = np.zeros((HEIGHT, WIDTH, 3), np.uint8) + np.array([250, 0, 0], np.uint8)  # as MATLAB orders colours
+    content = {"img1": red, "img2": red, "data": homogeneous(x1, x2), "score": np.ones((1, 40)), "label": labels}
+    scipy.io.savemat(tmp_path / "hall.mat", content)
+    (pair,) = write_found(tmp_path / "set", find_match_files("adelaidermf", tmp_path)).pairs
     assert (pair.pair_id, pair.difficulty) == ("hall", "30 labelled matches, 2 planes")
     (pair,) = read_pair_set(tmp_path / "set").pairs
     assert_points(pair, x1[labels > 0], x2[labels > 0])
     blue, _, red = cv2.imread(str(pair.image1))[5, 5]
-    assert red > 200
-    assert blue < 50
+    assert blue < 50 < 200 < red
 
 
 def test_adelaidermf_from_labelled_text(tmp_path):
     x1, x2, labels = labelled()
-    folder = tmp_path / "text"
-    picture(folder / "hallA.png")
-    picture(folder / "hallB.png", 1)
+    folder = pair_of_pictures(tmp_path / "text", "hall")
     (folder / "hall_pts.txt").write_text(lines(np.vstack([homogeneous(x1, x2), labels]).T))
     write_found(tmp_path / "set", find_match_files("adelaidermf", folder))
     (pair,) = read_pair_set(tmp_path / "set").pairs
     assert_points(pair, x1[labels > 0], x2[labels > 0])
-    F = fundamental_from_cameras(*CAMERAS)
-    assert sampson_distance(F, *pair.control_points()).max() < 1e-4
+    assert sampson_distance(fundamental_from_cameras(*CAMERAS), *pair.control_points()).max() < 1e-4
 
 
 def test_matches_of_one_plane_are_called_so(tmp_path):
     x1, _ = matches(30)
-    folder = tmp_path / "text"
-    picture(folder / "flatA.png")
-    picture(folder / "flatB.png", 1)
-    (folder / "flat_pts.txt").write_text(lines(np.vstack([homogeneous(x1, transfer(H, x1)), np.ones(30)]).T))
-    (pair,) = find_match_files("adelaidermf", folder)
+    pair_of_pictures(tmp_path, "flat")
+    (tmp_path / "flat_pts.txt").write_text(lines(np.vstack([homogeneous(x1, transfer(H, x1)), np.ones(30)]).T))
+    (pair,) = find_match_files("adelaidermf", tmp_path)
     assert pair.difficulty == "30 labelled matches, 1 plane; all on one plane: they decide no F"
 
 
@@ -160,8 +138,7 @@ def test_matches_of_one_plane_are_called_so(tmp_path):
     ],
 )
 def test_damage_of_labelled_text_is_named(tmp_path, content, message):
-    picture(tmp_path / "hallA.png")
-    picture(tmp_path / "hallB.png")
+    pair_of_pictures(tmp_path, "hall")
     (tmp_path / "hall_pts.txt").write_text(content)
     with pytest.raises(DatasetError, match=message):
         find_match_files("adelaidermf", tmp_path)
@@ -183,9 +160,6 @@ def test_damage_of_adelaidermf_is_named(tmp_path, change, message):
     scipy.io.savemat(tmp_path / "hall.mat", {name: value for name, value in content.items() if value is not None})
     with pytest.raises(DatasetError, match=message):
         find_match_files("adelaidermf", tmp_path)
-
-
-# --- homographies
 
 
 @pytest.mark.parametrize(
@@ -221,21 +195,15 @@ def test_damage_of_homographies_is_named(tmp_path):
         ("1 0 0\n0 1\n0 0 1\n", r"H1to2p, line 2: 2 numbers, expected 3"),
         ("1 0 0\n0 1 0\n", r"H1to2p: 2 rows of a matrix, expected 3"),
         ("1 0 0\n1 0 0\n0 0 1\n", r"H1to2p: the matrix is singular"),
+        ("1 0 5000\n0 1 0\n0 0 1\n", r"takes no point of .*img1\.ppm into .*img2\.ppm"),
     ):
         (tmp_path / "H1to2p").write_text(content)
         with pytest.raises(DatasetError, match=message):
-            find_sequences("oxford", tmp_path)
-    (tmp_path / "H1to2p").write_text("1 0 5000\n0 1 0\n0 0 1\n")
-    with pytest.raises(DatasetError, match=r"takes no point of .*img1\.ppm into .*img2\.ppm"):
-        write_found(tmp_path / "set", find_sequences("oxford", tmp_path))
+            write_found(tmp_path / "set", find_sequences("oxford", tmp_path))
     (tmp_path / "img2.ppm").unlink()
-    with pytest.raises(DatasetError, match=r"H1to2p: no image .*img2"):
-        find_sequences("oxford", tmp_path)
-    with pytest.raises(DatasetError, match="no homography with a name"):
-        find_sequences("hpatches", tmp_path)
-
-
-# --- USAC
+    for name, message in (("oxford", r"H1to2p: no image .*img2"), ("hpatches", "no homography with a name")):
+        with pytest.raises(DatasetError, match=message):
+            find_sequences(name, tmp_path)
 
 
 @pytest.fixture
@@ -278,24 +246,24 @@ def test_damage_of_usac_is_named(usac):
         find_usac(usac)
 
 
-# --- lists of pairs
+FIRST, SECOND, THIRD = (f"object0041.view0{number}.png" for number in (1, 2, 3))
 
 
 @pytest.fixture
 def listed(tmp_path):
-    folder = tmp_path / "list"
-    for number in (1, 2, 3):
-        picture(folder / f"object0041.view0{number}.png", number)
+    for number, name in enumerate((FIRST, SECOND, THIRD)):
+        picture(tmp_path / "list" / name, number)
     x1, x2 = matches(12)
-    (folder / "a.txt").write_text("% x1 y1 x2 y2\n" + lines(np.hstack([x1, x2])).replace(" ", "\t"))
-    (folder / "left.txt").write_text(lines(x1))
-    (folder / "right.txt").write_text(lines(x2))
-    (folder / "pairs.csv").write_text(
-        "image1,image2,points,points2\n"
-        "object0041.view01.png,object0041.view02.png,a.txt,\n"
-        "object0041.view01.png,object0041.view03.png,left.txt,right.txt\n"
-    )
-    return folder
+    texts = {
+        "a": "% x1 y1 x2 y2\n" + lines(np.hstack([x1, x2])).replace(" ", "\t"),
+        "left": lines(x1),
+        "right": lines(x2),
+    }
+    for name, text in texts.items():
+        (tmp_path / "list" / f"{name}.txt").write_text(text)
+    rows = f"{FIRST},{SECOND},a.txt,\n{FIRST},{THIRD},left.txt,right.txt\n"
+    (tmp_path / "list" / "pairs.csv").write_text(f"image1,image2,points,points2\n{rows}")
+    return tmp_path / "list"
 
 
 def test_lists_of_pairs(listed, tmp_path):
@@ -325,7 +293,7 @@ def test_lists_with_matrices_that_count_from_one(listed, tmp_path, kind):
     from_one = shift @ given @ back if kind == "homography" else back.T @ given @ back
     # A matrix of a large scale, all digits
     np.savetxt(listed / "m.txt", 1e3 * from_one)
-    (listed / "m.csv").write_text(f"image1,image2,{kind}\nobject0041.view01.png,object0041.view02.png,m.txt\n")
+    (listed / "m.csv").write_text(f"image1,image2,{kind}\n{FIRST},{SECOND},m.txt\n")
     write_found(tmp_path / "set", find_pairs(listed / "m.csv", origin=1.0))
     (pair,) = read_pair_set(tmp_path / "set").pairs
     if kind == "homography":
@@ -338,10 +306,10 @@ def test_lists_with_matrices_that_count_from_one(listed, tmp_path, kind):
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ("gone.png,object0041.view02.png,a.txt", r"t\.csv, line 2: no image .*gone\.png"),
-        ("object0041.view01.png,object0041.view02.png,", r"t\.csv, line 2: none of points, homography, fundamental"),
-        ("object0041.view01.png,object0041.view02.png,gone.txt", r"gone\.txt: cannot be read"),
-        ("object0041.view01.png,object0041.view02.png", r"t\.csv, line 2: 2 values for 3 columns"),
+        (f"gone.png,{SECOND},a.txt", r"t\.csv, line 2: no image .*gone\.png"),
+        (f"{FIRST},{SECOND},", r"t\.csv, line 2: none of points, homography, fundamental"),
+        (f"{FIRST},{SECOND},gone.txt", r"gone\.txt: cannot be read"),
+        (f"{FIRST},{SECOND}", r"t\.csv, line 2: 2 values for 3 columns"),
     ],
 )
 def test_damage_of_lists_is_named(listed, row, message):
@@ -352,16 +320,11 @@ def test_damage_of_lists_is_named(listed, row, message):
 
 def test_points_that_fit_no_given_matrix_are_found_when_the_set_is_written(listed, tmp_path):
     np.savetxt(listed / "F.txt", fundamental_from_cameras(*CAMERAS[::-1]))  # images in the other order
-    (listed / "t.csv").write_text(
-        "image1,image2,points,fundamental\nobject0041.view01.png,object0041.view02.png,a.txt,F.txt\n"
-    )
+    (listed / "t.csv").write_text(f"image1,image2,points,fundamental\n{FIRST},{SECOND},a.txt,F.txt\n")
     message = r"pairs\.csv, line 2: the F .*view02\.txt of pair .* does not fit .*view02\.csv"
     with pytest.raises(DatasetError, match=message):
         write_found(tmp_path / "set", find_pairs(listed / "t.csv"))
     assert not (tmp_path / "set").exists()
-
-
-# --- text, sizes, writing
 
 
 def test_rows_of_text_in_several_spellings(tmp_path):
@@ -380,14 +343,14 @@ def test_rows_of_text_in_several_spellings(tmp_path):
 
 
 def test_smaller_images_take_everything_with_them(tmp_path):
-    picture(tmp_path / "a.png", 1, 640, 480)
-    picture(tmp_path / "b.png", 2, 320, 240)
-    x1, x2 = matches()
-    large1 = transfer(shrinking((320, 240), (640, 480)), x1)
-    F = fundamental_from_cameras(*CAMERAS)
-    grow = np.linalg.inv(shrinking((320, 240), (640, 480)))
-    images = {f"image{k}": Photograph(name=name, path=tmp_path / f"{name}.png") for k, name in ((1, "a"), (2, "b"))}
-    pair = FoundPair(pair_id="p", scene="s", **images, points=(large1, x2), fundamental=F @ grow)
+    corners = transfer(shrinking((640, 480), (320, 120)), np.array([[-0.5, -0.5], [639.5, 479.5]]))
+    np.testing.assert_allclose(corners, [[-0.5, -0.5], [319.5, 119.5]])
+    images = {"image1": picture(tmp_path / "a.png", 1, 640, 480), "image2": picture(tmp_path / "b.png", 2)}
+    (x1, x2), F = matches(), fundamental_from_cameras(*CAMERAS)
+    grow = shrinking((320, 240), (640, 480))
+    points, matrix = (transfer(grow, x1), x2), F @ np.linalg.inv(grow)
+    photographs = {name: importers.Photograph(name=path.stem, path=path) for name, path in images.items()}
+    pair = importers.FoundPair(pair_id="p", scene="s", **photographs, points=points, fundamental=matrix)
     write_found(tmp_path / "set", [pair], max_side=320)
     (got,) = read_pair_set(tmp_path / "set").pairs
     assert got.sizes() == ((320, 240), (320, 240))
@@ -395,16 +358,11 @@ def test_smaller_images_take_everything_with_them(tmp_path):
     np.testing.assert_allclose(got.fundamental(), normalise_fundamental(F), atol=1e-9)
 
 
-def test_shrinking_keeps_corners():
-    corners = transfer(shrinking((640, 480), (320, 120)), np.array([[-0.5, -0.5], [639.5, 479.5]]))
-    np.testing.assert_allclose(corners, [[-0.5, -0.5], [319.5, 119.5]])
-
-
 def test_a_pair_set_is_not_overwritten_and_photographs_do_not_share_a_name(kusvod2, tmp_path):
     with pytest.raises(OutputError, match="exists already"):
         write_found(kusvod2, find_match_files("kusvod2", kusvod2))
     (pair,) = find_match_files("kusvod2", kusvod2)
-    same = dataclasses.replace(pair, pair_id="other", image1=Photograph(name="shoutA", path=pair.image2.path))
+    same = dataclasses.replace(pair, pair_id="other", image1=importers.Photograph(name="shoutA", path=pair.image2.path))
     with pytest.raises(DatasetError, match=r"shoutA\.png and .*shoutB\.png would both become images/shoutA"):
         write_found(tmp_path / "set", [pair, same])
     with pytest.raises(DatasetError, match="no pair was found"):
@@ -424,7 +382,7 @@ def test_names_of_any_bytes_are_kept_and_files_of_macos_are_skipped(kusvod2, tmp
 def test_images_and_names_are_checked_before_anything_is_written(kusvod2, tmp_path):
     (pair,) = find_match_files("kusvod2", kusvod2)
     (tmp_path / "broken.png").write_bytes(pair.image1.path.read_bytes()[:60])
-    broken = Photograph(name="broken", path=tmp_path / "broken.png")
+    broken = importers.Photograph(name="broken", path=tmp_path / "broken.png")
     for change, kind, message in (
         ({"image2": broken}, ImageError, r"broken\.png: not an image"),
         ({"pair_id": "a/b"}, DatasetError, "pair 'a/b'"),
@@ -435,29 +393,24 @@ def test_images_and_names_are_checked_before_anything_is_written(kusvod2, tmp_pa
     assert not list(tmp_path.glob("new*"))
 
 
-# --- commands
-
-
 def test_commands(kusvod2, tmp_path):
-    run = CliRunner().invoke(app, ["import", "kusvod2", str(kusvod2), "--out", str(tmp_path / "real/kusvod2")])
-    assert run.exit_code == 0, run.output
-    assert "1 pair of 1 scene" in run.stdout
-    run = CliRunner().invoke(app, ["check-set", str(tmp_path / "real/kusvod2")])
-    assert "1 pair of 1 scene, truth: epipolar" in run.stdout
-    run = CliRunner().invoke(app, ["sets", str(tmp_path / "real")])
-    assert run.stdout.count("not present") == len(known_sets()) - 1
-    assert str(sum(known.pairs for known in known_sets(paper=True))) == "883"
+    def run(*arguments):
+        return CliRunner().invoke(app, [*map(str, arguments)])
+
+    real = tmp_path / "real"
+    done = run("import", "kusvod2", kusvod2, "--out", real / "kusvod2")
+    assert done.exit_code == 0, done.output
+    assert "1 pair of 1 scene" in done.stdout
+    assert "1 pair of 1 scene, truth: epipolar" in run("check-set", real / "kusvod2").stdout
+    assert run("sets", real).stdout.count("not present") == len(known_sets()) - 1
+    assert sum(known.pairs for known in known_sets(paper=True)) == 883
     for source in ("colmap", "strecha", "adelaidermf", "oxford", "hpatches", "usac", "pairs", "photos"):
-        run = CliRunner().invoke(app, ["import", source, str(tmp_path / "nowhere"), "--out", str(tmp_path / "x")])
-        assert isinstance(run.exception, EpipriorError), source
-        assert "nowhere" in str(run.exception)
-
-
-def test_check_set_reads_images_too(kusvod2, tmp_path):
-    write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2))
-    image = tmp_path / "set/images/shoutB.png"
+        done = run("import", source, tmp_path / "nowhere", "--out", tmp_path / "x")
+        assert isinstance(done.exception, EpipriorError), source
+        assert "nowhere" in str(done.exception)
+    image = real / "kusvod2" / "images" / "shoutB.png"
     image.write_bytes(image.read_bytes()[:200])
-    read_pair_set(tmp_path / "set")
-    run = CliRunner().invoke(app, ["check-set", str(tmp_path / "set")])
-    assert isinstance(run.exception, ImageError)
-    assert "shoutB.png" in str(run.exception)
+    read_pair_set(real / "kusvod2")
+    done = run("check-set", real / "kusvod2")  # reads images too
+    assert isinstance(done.exception, ImageError)
+    assert "shoutB.png" in str(done.exception)

@@ -3,6 +3,7 @@
 import itertools
 import logging
 import os
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -21,6 +22,10 @@ from pictures import save, texture
 from worlds import OVERCAST_FROM_ASIDE, coloured, no_shadows
 
 # --- COLMAP models
+
+
+EVERY = PairChoice(min_angle_deg=1, max_angle_deg=179)
+MOST = PairChoice(min_angle_deg=5, max_angle_deg=175)
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +56,7 @@ def model(workspace, tmp_path):
 
 
 def test_colmap_cameras_are_undistorted_and_count_from_zero(workspace, tmp_path):
-    choice = PairChoice(min_angle_deg=5, max_angle_deg=175)
-    write_found(tmp_path / "set", find_colmap(workspace, choice=choice))
+    write_found(tmp_path / "set", find_colmap(workspace, choice=MOST))
     pairs = read_pair_set(tmp_path / "set").pairs
     assert len(pairs) >= 6
     model = pycolmap.Reconstruction(workspace / "sparse/0")
@@ -86,29 +90,27 @@ def test_undistorted_pixels_belong_to_undistorted_cameras(workspace, tmp_path):
     (tmp_path / "images").mkdir()
     for other in model.images.values():
         cv2.imwrite(str(tmp_path / "images" / other.name), pixels)
-    found = find_colmap(
-        workspace / "sparse/0", images=tmp_path / "images", choice=PairChoice(min_angle_deg=1, max_angle_deg=179)
-    )
-    photograph = found[0].image1
+    photograph = find_colmap(workspace / "sparse/0", images=tmp_path / "images", choice=EVERY)[0].image1
     plain = photograph.develop()[:, :, 0].astype(float)
-    rows = np.arange(plain.shape[0])[:, None]
-    middle = (plain * rows).sum(axis=0)[5:-5] / plain.sum(axis=0)[5:-5]
+    middle = (plain * np.arange(plain.shape[0])[:, None]).sum(axis=0)[5:-5] / plain.sum(axis=0)[5:-5]
     wanted = photograph.camera.K[1, 1] * -0.24 + photograph.camera.K[1, 2]
     np.testing.assert_allclose(middle, wanted, atol=0.4)
 
 
+def angles_of(found):
+    return [float(pair.difficulty.split("deg")[0].removeprefix("angle=")) for pair in found]
+
+
 def test_pairs_are_those_that_are_asked_for(workspace):
-    every = find_colmap(workspace, choice=PairChoice(min_angle_deg=1, max_angle_deg=179))
-    angles = [float(pair.difficulty.split("deg")[0].removeprefix("angle=")) for pair in every]
+    every = find_colmap(workspace, choice=EVERY)
+    angles = angles_of(every)
     assert len(every) == 15
     low, high = np.quantile(angles, [0.2, 0.8])
     some = find_colmap(workspace, choice=PairChoice(min_angle_deg=low, max_angle_deg=high))
-    assert {pair.pair_id for pair in some} == {
-        pair.pair_id for pair, angle in zip(every, angles, strict=True) if low <= angle <= high
-    }
-    few = find_colmap(workspace, choice=PairChoice(min_angle_deg=1, max_angle_deg=179, max_pairs=3))
-    kept = sorted(float(pair.difficulty.split("deg")[0].removeprefix("angle=")) for pair in few)
-    assert (kept[0], kept[-1], len(kept)) == (min(angles), max(angles), 3)
+    wanted = {pair.pair_id for pair, angle in zip(every, angles, strict=True) if low <= angle <= high}
+    assert {pair.pair_id for pair in some} == wanted
+    kept = angles_of(find_colmap(workspace, choice=replace(EVERY, max_pairs=3)))
+    assert (min(kept), max(kept), len(kept)) == (min(angles), max(angles), 3)
     with pytest.raises(DatasetError, match="no pair with PairChoice"):
         find_colmap(workspace, choice=PairChoice(min_shared=1000))
     for wrong in ({"min_angle_deg": 80}, {"max_pairs": 0}, {"min_shared": 3}):
@@ -117,37 +119,28 @@ def test_pairs_are_those_that_are_asked_for(workspace):
 
 
 def test_a_model_of_text_is_the_same(workspace, model):
-    choice = PairChoice(min_angle_deg=5, max_angle_deg=175)
-    ours = find_colmap(workspace, choice=choice)
-    text = find_colmap(model / "text", images=workspace / "images", choice=choice)
+    ours = find_colmap(workspace, choice=MOST)
+    text = find_colmap(model / "text", images=workspace / "images", choice=MOST)
     assert [pair.pair_id for pair in ours] == [pair.pair_id for pair in text]
     np.testing.assert_allclose(ours[0].points[0], text[0].points[0], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("name", "keep"), list(itertools.product(["cameras.bin", "images.bin", "points3D.bin"], [5, 0.5, -3]))
-)
-def test_binary_files_that_are_cut_off_are_named(workspace, model, name, keep):
-    path = model / "binary" / name
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
+def test_damage_of_a_model_is_named(workspace, model, name):
+    path = model / "binary" / f"{name}.bin"
     content = path.read_bytes()
-    path.write_bytes(content[: int(len(content) * keep)] if keep == 0.5 else content[:keep])
-    with pytest.raises(DatasetError, match=rf"{name}: damaged"):
-        find_colmap(model / "binary", images=workspace / "images")
-
-
-@pytest.mark.parametrize("name", ["cameras.txt", "images.txt", "points3D.txt"])
-def test_damage_of_text_files_is_named_with_its_line(workspace, model, name):
-    path = model / "text" / name
+    for length in (5, len(content) // 2, -3):
+        path.write_bytes(content[:length])
+        with pytest.raises(DatasetError, match=rf"{name}\.bin: damaged"):
+            find_colmap(model / "binary", images=workspace / "images")
+    path = model / "text" / f"{name}.txt"
     rows = path.read_text().splitlines()
     first = next(index for index, row in enumerate(rows) if not row.startswith("#"))
     values = rows[first].split()
-    values[3] = "wide"
-    path.write_text("\n".join([*rows[:first], " ".join(values), *rows[first + 1 :]]) + "\n")
-    with pytest.raises(DatasetError, match=rf"{name}, line {first + 1}: 'wide' is no number"):
-        find_colmap(model / "text", images=workspace / "images")
-    path.write_text("\n".join([*rows[:first], "1 2", *rows[first + 1 :]]) + "\n")
-    with pytest.raises(DatasetError, match=rf"{name}, line {first + 1}: 2 values"):
-        find_colmap(model / "text", images=workspace / "images")
+    for row, message in ((" ".join([*values[:3], "wide", *values[4:]]), "'wide' is no number"), ("1 2", "2 values")):
+        path.write_text("\n".join([*rows[:first], row, *rows[first + 1 :]]) + "\n")
+        with pytest.raises(DatasetError, match=rf"{name}\.txt, line {first + 1}: {message}"):
+            find_colmap(model / "text", images=workspace / "images")
 
 
 def test_what_is_missing_is_named(workspace, tmp_path):
@@ -155,21 +148,15 @@ def test_what_is_missing_is_named(workspace, tmp_path):
         find_colmap(tmp_path)
     with pytest.raises(DatasetError, match=r"no image .*camera000001"):
         find_colmap(workspace, images=tmp_path)
-    choice = PairChoice(min_angle_deg=1, max_angle_deg=179)
     for path in (workspace / "images").iterdir():
         save(tmp_path / path.name, texture(100, 80))
     with pytest.raises(DatasetError, match=r"is 100 x 80, its camera in the model 320 x 240"):
-        write_found(tmp_path / "set", find_colmap(workspace, images=tmp_path, choice=choice))
-
-
-# --- photographs of a rendered scene
+        write_found(tmp_path / "set", find_colmap(workspace, images=tmp_path, choice=EVERY))
 
 
 def scene_cameras():
-    eyes = [
-        np.array([7 * np.sin(a), -1.0 - 0.4 * (k % 2), -7 * np.cos(a)])
-        for k, a in enumerate(np.radians([-18, -6, 6, 18]))
-    ]
+    turns = enumerate(np.radians([-18, -6, 6, 18]))
+    eyes = [np.array([7 * np.sin(a), -1.0 - 0.4 * (k % 2), -7 * np.cos(a)]) for k, a in turns]
     return [look_at(eye, np.array([0, 0.2, -1.0]), roll_deg=0.0, focal_px=280.0, width=320, height=240) for eye in eyes]
 
 
@@ -230,15 +217,13 @@ def test_photographs_are_checked_before_any_work(tmp_path, monkeypatch, caplog):
         (tmp_path / name).write_bytes(b"attributes")
     with pytest.raises(DatasetError, match="0 photographs, expected 3 or more"):
         find_photos(tmp_path)
-    assert [record.message for record in caplog.records] == [
-        f"{tmp_path}: 2 files ._* skipped: attributes that macOS keeps"
-    ]
+    assert caplog.messages == [f"{tmp_path}: 2 files ._* skipped: attributes that macOS keeps"]
     for name in ("a.jpg", "b.jpg", "b.png"):
         save(tmp_path / name, texture(64, 64))
     with pytest.raises(DatasetError, match=r"b\.jpg and .*b\.png would both become images/b"):
         find_photos(tmp_path)
-    (tmp_path / "b.png").rename(tmp_path / "c.png")
-    (tmp_path / "c.png").write_bytes((tmp_path / "c.png").read_bytes()[:60])
+    broken = (tmp_path / "b.png").rename(tmp_path / "c.png")
+    broken.write_bytes(broken.read_bytes()[:60])
     with pytest.raises(ImageError, match=r"c\.png: not an image"):
         find_photos(tmp_path)
 
@@ -254,37 +239,29 @@ def test_names_that_a_colmap_model_cannot_hold_are_named(workspace, model):
         find_colmap(model / "binary", images=workspace / "images")
 
 
-# --- Strecha
-
-
 def camera_text(camera: Camera) -> str:
     rows = [*camera.K, np.zeros(3), *camera.R.T, camera.centre, np.array([camera.width, camera.height])]
     return "".join(" ".join(f"{value:.12g}" for value in row) + " \n" for row in rows)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("layout", ["beside", "apart"])
-def test_strecha(photographs, tmp_path, layout):
-    images, cameras = (tmp_path / "fountain", tmp_path / "fountain")
-    if layout == "apart":
-        images, cameras = images / "images", cameras / "gt_dense_cameras"
-    images.mkdir(parents=True)
-    cameras.mkdir(parents=True, exist_ok=True)
+@pytest.mark.parametrize(("images", "cameras"), [("", ""), ("images", "gt_dense_cameras")])
+def test_strecha(photographs, tmp_path, images, cameras):
+    folder = tmp_path / "fountain"
+    for part in (images, cameras):
+        (folder / part).mkdir(parents=True, exist_ok=True)
     for number, camera in enumerate(scene_cameras()):
         name = f"{photograph_name(number)}.png"
-        (images / name).write_bytes((photographs / name).read_bytes())
-        (cameras / f"{name}.camera").write_text(camera_text(camera))
-    write_found(tmp_path / "set", find_strecha(tmp_path / "fountain"))
+        (folder / images / name).write_bytes((photographs / name).read_bytes())
+        (folder / cameras / f"{name}.camera").write_text(camera_text(camera))
+    write_found(tmp_path / "set", find_strecha(folder))
     pairs = read_pair_set(tmp_path / "set").pairs
     assert len(pairs) == 6
     for pair in pairs:
         assert pair.scene == "fountain"
         assert pair.pair_id.startswith("fountain_Photo 1 of 4, café ")
-        np.testing.assert_allclose(
-            pair.fundamental(),
-            fundamental_from_cameras(*(scene_cameras()[int(path.stem[-1])] for path in (pair.image1, pair.image2))),
-            atol=1e-7,
-        )
+        own = (scene_cameras()[int(path.stem[-1])] for path in (pair.image1, pair.image2))
+        np.testing.assert_allclose(pair.fundamental(), fundamental_from_cameras(*own), atol=1e-7)
         assert len(pair.control_points()[0]) >= 12
 
 

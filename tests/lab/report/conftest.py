@@ -1,5 +1,6 @@
 """Results of a made-up study and of made-up photographs, and their reports, each written once."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,29 +23,25 @@ RULE = CascadeRule(min_plausibility=0.95)
 def metrics():
     """Return the cross-validation of made-up classifiers."""
     rows = []
+    names = ("precision_top_100", "average_precision", "accuracy", "precision")
     for preset, target in (("paper", "two_keypoint"), ("default", "match")):
-        for k, family in enumerate(("tree", "svm")):
-            for grouped in (True, False):
-                for metric in ("precision_top_100", "average_precision", "accuracy", "precision"):
-                    row = {"preset": preset, "target": target, "family": family, "grouped": grouped, "metric": metric}
-                    value = 0.5 + 0.1 * k + 0.08 * (not grouped)
-                    rows += [row | {"fold": fold, "value": value + 0.01 * fold} for fold in range(4)]
-                    rows.append(row | {"fold": "all", "value": value})
+        for (k, family), grouped, metric in itertools.product(enumerate(("tree", "svm")), (True, False), names):
+            row = {"preset": preset, "target": target, "family": family, "grouped": grouped, "metric": metric}
+            value = 0.5 + 0.1 * k + 0.08 * (not grouped)
+            rows += [row | {"fold": fold, "value": value + 0.01 * fold} for fold in range(4)]
+            rows.append(row | {"fold": "all", "value": value})
     return pd.DataFrame(rows)
 
 
 def search():
     """Return a made-up search for hand-overs."""
     base = {"one_to_one": True, "top_k": None, "max_distance_ratio": None, "threshold_px": 1.5, "refine": False}
+    base |= {"pairs": 48, "successes_3": 10, "area": 0.5}
+    steps = {"top_k": (300, 500, None), "threshold_px": (1.0, 2.0), "refine": (True,)}
     rows = []
-    for estimator in ("usac", "epiprior"):
-        for name in ("standard", "default"):
-            for step, levels in (("top_k", (300, 500, None)), ("threshold_px", (1.0, 2.0)), ("refine", (True,))):
-                for k, level in enumerate(levels):
-                    row = {"estimator": estimator, "input": name, "step": step} | base | {step: level, "pairs": 48}
-                    rows.append(
-                        row | {"successes_10": 20 + k, "successes_3": 10, "area": 0.5, "chosen": step == "refine"}
-                    )
+    for estimator, name, step in itertools.product(("usac", "epiprior"), ("standard", "default"), steps):
+        row = base | {"estimator": estimator, "input": name, "step": step, "chosen": step == "refine"}
+        rows += [row | {step: level, "successes_10": 20 + k} for k, level in enumerate(steps[step])]
     return pd.DataFrame(rows)
 
 
@@ -53,11 +50,8 @@ def study():
     """Results of a study, the parameters of its report, and what else it shows."""
     params = replace(load_params(ROOT / "params.yaml").report, bootstrap_draws=100, hard_groups=("open",))
     results = read_results(study_tables(pairs=8), params)
-    bounds = [
-        b
-        for b in load_bounds(ROOT / BOUNDS, "study")
-        if b.group in results.masks and b.estimator in ("usac", "epiprior", "every")
-    ]
+    bounds = [bound for bound in load_bounds(ROOT / BOUNDS, "study") if bound.group in results.masks]
+    bounds = [bound for bound in bounds if bound.estimator in ("usac", "epiprior", "every")]
     extras = Extras(rule=RULE, bounds=bounds, classifiers=metrics(), hand_over=search())
     return SimpleNamespace(results=results, params=params, extras=extras)
 

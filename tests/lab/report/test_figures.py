@@ -2,9 +2,8 @@
 
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
-from epiprior_lab.report import figures, style
+from epiprior_lab.report import figures
 from epiprior_lab.report.pictures import rescued_pair, rolled_pairs
 
 
@@ -49,14 +48,6 @@ def test_successes_have_a_dot_per_input_and_estimator(study, study_report, drawn
     assert shown == pytest.approx(sorted(part["successes"]))
 
 
-def test_rings_mark_what_was_chosen(study, drawn):
-    figures.hand_over_figure(study.extras.hand_over, None)
-    titles = [axis.get_title(loc="left") for axis in drawn[0].axes[:3]]
-    assert titles == ["best matches,\nat most", "inlier\nthreshold, px", "F refined"]
-    axis = drawn[0].axes[0]
-    assert [tick.get_text() for tick in axis.get_xticklabels()] == ["300", "500", "none"]
-
-
 def test_rolled_pairs_go_from_half_a_turn_down(study):
     pairs = study.results.tables.pairs
     chosen = rolled_pairs(study.results, 4)
@@ -71,11 +62,3 @@ def test_the_example_gained_most(study):
     gain = (results.errors.of("usac", "default", 10) - results.errors.of("usac", "standard", 10))[results.masks["open"]]
     ids = results.tables.pairs["pair_id"][results.masks["open"]].tolist()
     assert gain[ids.index(chosen)] == gain.max()
-
-
-def test_style_leaves_global_settings_alone():
-    before = Figure().get_facecolor()
-    with style.styled(1, 1, (2, 1)) as (_, axes):
-        assert not axes[0][0].spines["top"].get_visible()
-    assert Figure().get_facecolor() == before
-    assert Figure().subplots().spines["top"].get_visible()

@@ -65,8 +65,7 @@ def test_lost_pairs_are_those_that_most_estimators_lose(swapped):
         if max(counts):
             expected[pair] = max(counts)
     assert expected
-    assert lost == expected
-    assert list(lost.values()) == sorted(lost.values(), reverse=True)
+    assert (lost, list(lost.values())) == (expected, sorted(lost.values(), reverse=True))
 
 
 def test_a_rescued_pair_shows_an_accepted_run(photographs):

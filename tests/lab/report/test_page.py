@@ -28,11 +28,8 @@ def test_markdown():
 def test_html_is_whole_and_escaped():
     text = render_html(PAGE)
     read = Reader(text)
-    assert read.open == []
-    assert read.ids == ["numbers", "side-by-side"]
-    assert read.links == ["#numbers", "#side-by-side"]
-    assert read.images == ["a.png", "b.png"]
-    assert read.cells == ["who", "n", "all", "a", "1"]
+    assert (read.open, read.ids, read.links) == ([], ["numbers", "side-by-side"], ["#numbers", "#side-by-side"])
+    assert (read.images, read.cells) == (["a.png", "b.png"], ["who", "n", "all", "a", "1"])
     assert "Of <code>code</code> and X_L &amp; &lt;b&gt;." in text
     assert "<strong>a</strong>" in text
     assert "<em>B</em>" in text

@@ -14,15 +14,8 @@ def pair_of(tmp_path, name, colour, shape=(90, 120)):
     paths = [tmp_path / f"{name}_{k}.png" for k in (1, 2)]
     for path in paths:
         cv2.imwrite(str(path), np.full((*shape, 3), colour, np.uint8))
-    return Pair(
-        pair_id=name,
-        scene=name,
-        image1=paths[0],
-        image2=paths[1],
-        camera1=None,
-        camera2=None,
-        difficulty="angle=30.0deg;overlap=0.40",
-    )
+    values = {"camera1": None, "camera2": None, "difficulty": "angle=30.0deg;overlap=0.40"}
+    return Pair(pair_id=name, scene=name, image1=paths[0], image2=paths[1], **values)
 
 
 @pytest.mark.parametrize(("roll", "shown"), [(348, -12), (180, 180), (181, -179), (0, 0), (-7, -7)])
@@ -39,8 +32,7 @@ def test_every_pair_is_on_the_sheet(tmp_path):
     image = cv2.imread(str(path)).reshape(-1, 3)
     for colour in colours:
         assert (image == colour).all(axis=1).sum() > 2000, colour
-    before = path.read_bytes()
-    assert contact_sheet(sheets, path).read_bytes() == before
+    assert contact_sheet(sheets, path).read_bytes() == path.read_bytes()
 
 
 def test_nothing_to_show_and_unreadable_images_are_errors(tmp_path):

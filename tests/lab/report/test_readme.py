@@ -31,8 +31,7 @@ def test_the_table_is_the_small_one_of_the_report(root, photograph_report):
     assert got.endswith("|\n<!-- /results -->\nafter\n")
     lines = got.splitlines()[2:-2]
     assert len(lines) == 2 + 6
-    page = (photograph_report[1] / "performance.md").read_text()
-    assert "\n".join(lines) in page
+    assert "\n".join(lines) in (photograph_report[1] / "performance.md").read_text()
     assert readme.render_readme(got, root) == got
 
 

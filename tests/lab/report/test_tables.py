@@ -71,11 +71,9 @@ def test_successes_equal_counts_by_hand(both, threshold):
 
 
 def test_one_scene_has_a_value_and_no_interval(photographs):
-    one = {name: getattr(photographs.results.tables, name) for name in ("pairs", "runs", "rankings", "calibration")}
-    fox = Tables(
-        **{name: table[table["group"] == "fox"].assign(scene="a").reset_index(drop=True) for name, table in one.items()}
-    )
-    results = read_results(fox, photographs.params)
+    keep = vars(photographs.results.tables).items()
+    one = {name: table[table["group"] == "fox"].assign(scene="a").reset_index(drop=True) for name, table in keep}
+    results = read_results(Tables(**one), photographs.params)
     at = tables.success_table(results, (10.0,))
     at = at[(at["group"] == "fox") & (at["input"] == "default")]
     assert at[["gain", "scene_gain"]].notna().all(axis=None)
@@ -83,7 +81,9 @@ def test_one_scene_has_a_value_and_no_interval(photographs):
     assert tables.ranking_table(results)["gain_low"].isna().all()
 
 
-def test_an_estimator_without_a_baseline_is_named(study):
+def test_an_absent_champion_and_an_estimator_without_a_baseline_are_named(study):
+    with pytest.raises(ReportError, match="no results of degensac, only of usac"):
+        tables.duel_table(study.results, "degensac", (10.0,))
     runs = study.results.tables.runs
     kept = runs[~((runs["estimator"] == "prosac") & (runs["input"] == "standard"))]
     without = Tables(**{**vars(study.results.tables), "runs": kept})
@@ -121,11 +121,6 @@ def test_an_interval_that_touches_zero_but_for_rounding_decides_nothing(study, l
     assert ends == tuple(0.0 if abs(end) < 1e-9 else 40 * end for end in (low, high))
 
 
-def test_an_absent_champion_is_named(study):
-    with pytest.raises(ReportError, match="no results of degensac, only of usac"):
-        tables.duel_table(study.results, "degensac", (10.0,))
-
-
 def test_poses_and_distances_count_only_pairs_that_have_them(photographs, photograph_report):
     table = photograph_report[0]["geometry"].set_index(["group", "estimator", "input"])
     row = table.loc[("all", "usac", "default")]
@@ -159,8 +154,7 @@ def test_rankings_over_x_l(both):
             assert row["gain_low"] <= row["gain"] <= row["gain_high"]
     ours = part[(part["input"] == "default") & (part["ranking"] == "final")]
     row = table.loc[("all", "default", "final")]
-    assert row["pairs"] == len(ours)
-    assert row["enough"] == (ours["right"] >= 15).mean()
+    assert (row["pairs"], row["enough"]) == (len(ours), (ours["right"] >= 15).mean())
     by_scene = (ours[right_column(10)] / 10).groupby([ours["group"], ours["scene"]]).mean().mean()
     assert row["scene_precision_10"] == pytest.approx(by_scene)
 
@@ -252,8 +246,7 @@ def test_a_cascade_takes_one_run_or_the_other(both):
 def test_classifiers_by_scene_and_by_row(study, study_report):
     table = study_report[0]["classifiers"].set_index(["preset", "target", "family", "metric"])
     row = table.loc[("default", "match", "svm", "accuracy")]
-    assert row["grouped"] == pytest.approx(0.6)
-    assert row["ungrouped"] == pytest.approx(0.68)
+    assert (row["grouped"], row["ungrouped"]) == (pytest.approx(0.6), pytest.approx(0.68))
     assert row["grouped_sd"] == pytest.approx(np.std([0, 0.01, 0.02, 0.03], ddof=1))
 
 

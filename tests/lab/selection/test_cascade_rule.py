@@ -8,17 +8,8 @@ import pytest
 
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
-from epiprior_lab.selection.cascade_rule import (
-    ALL,
-    NEVER,
-    candidate_rules,
-    cascade_errors,
-    kept_runs,
-    learn_rule,
-    lost_runs,
-    paired_runs,
-    trade_off,
-)
+from epiprior_lab.selection import cascade_rule
+from epiprior_lab.selection.cascade_rule import ALL, NEVER, cascade_errors, kept_runs, learn_rule, lost_runs
 from synthetic_tables import study_tables
 
 PARAMS = CascadeParams(seeds=(0,), tolerance=0.01, strict_tolerance=0.01, min_plausibility=(0.0, 0.25, 0.5, 0.75))
@@ -37,7 +28,7 @@ def runs_of(rows, estimator="usac"):
 
 def test_runs_are_paired_and_other_inputs_left_out():
     runs = study_tables(pairs=2).runs
-    got = paired_runs(runs)
+    got = cascade_rule.paired_runs(runs)
     keys = ["group", "pair_id", "estimator", "seed"]
     assert len(got) == 2 * 2 * 4 * 3
     both = runs.set_index([*keys, "input"])
@@ -49,36 +40,22 @@ def test_runs_are_paired_and_other_inputs_left_out():
         assert row.without_px == (INF if np.isnan(first["error_px"]) else first["error_px"])  # whatever its status
         assert row.with_px == (INF if np.isnan(second["error_px"]) else second["error_px"])
     with pytest.raises(pd.errors.MergeError):
-        paired_runs(pd.concat([runs, runs.iloc[:1]]))
+        cascade_rule.paired_runs(pd.concat([runs, runs.iloc[:1]]))
 
 
 def test_a_cascade_takes_one_or_the_other_and_falls_back():
-    runs = runs_of(
-        [
-            ("a", 0.6, 1.0, 2.0),  # kept
-            ("b", 0.4, 50.0, 2.0),  # preprocessed
-            ("c", 0.3, 3.0, INF),  # preprocessed in vain: falls back
-            ("d", np.nan, INF, INF),
-            ("e", 0.6, 30.0, 1.0),  # kept, though wrong
-        ]
-    )
+    kept, preprocessed, in_vain = ("a", 0.6, 1.0, 2.0), ("b", 0.4, 50.0, 2.0), ("c", 0.3, 3.0, INF)
+    nothing, kept_though_wrong = ("d", np.nan, INF, INF), ("e", 0.6, 30.0, 1.0)
+    runs = runs_of([kept, preprocessed, in_vain, nothing, kept_though_wrong])
     kept = kept_runs(runs, [CascadeRule(min_plausibility=0.5), NEVER])
     assert kept.tolist() == [[True, False, False, False, True], [False] * 5]
     assert cascade_errors(runs, kept[0]).tolist() == [1.0, 2.0, 3.0, INF, 30.0]
     assert lost_runs(runs, kept, 10.0).tolist() == [[False, False, False, False, True], [False] * 5]
     assert lost_runs(runs, kept, 1.5)[0].tolist() == [False, False, False, False, True]
-
-
-def test_a_cascade_follows_the_status_even_where_it_is_wrong():
-    runs = runs_of([("a", 0.6, 50.0, 2.0), ("b", 0.6, 50.0, 2.0)])
+    runs = runs_of([("a", 0.6, 50.0, 2.0), ("b", 0.6, 50.0, 2.0)])  # the status decides, even where it is wrong
     runs["with_status"] = "degenerate"
     runs.loc[1, "status"] = "degenerate"
     assert cascade_errors(runs, np.array([False, False])).tolist() == [50.0, 2.0]
-
-
-def test_candidates_go_from_never_to_always():
-    assert [rule.min_plausibility for rule in candidate_rules(PARAMS)] == [1.0, 0.75, 0.5, 0.25, 0.0]
-    assert candidate_rules(PARAMS)[0] is NEVER
 
 
 def many_runs(n=60, seed=0):
@@ -125,14 +102,9 @@ def test_a_rule_has_a_margin():
 
 def test_held_out_shares_show_a_rule_that_one_scene_decides():
     """The only wrong answer that is plausible: without its scene, the rule would keep it."""
-    runs = runs_of(
-        [(f"s{i}", 0.8, 1.0, 1.0) for i in range(30)]
-        + [(f"t{i}", 0.4, 1.0, 1.0) for i in range(30)]
-        + [("bad", 0.4, 90.0, 1.0)]
-    )
-    found = learn_rule(runs, PARAMS, **AT)
-    assert found.rule.min_plausibility == 0.75
-    assert found.outcomes.loc[ALL, "lost"] == 0.0
+    rows = [(f"{p}-{i}", p, 1.0, 1.0) for p in (0.8, 0.4) for i in range(30)]
+    found = learn_rule(runs_of([*rows, ("bad", 0.4, 90.0, 1.0)]), PARAMS, **AT)
+    assert (found.rule.min_plausibility, found.outcomes.loc[ALL, "lost"]) == (0.75, 0.0)
     assert found.outcomes.loc[ALL, "held_out_lost"] == pytest.approx(1 / 61)
 
 
@@ -149,12 +121,13 @@ def test_one_rule_serves_all_and_one_fooled_estimator_does_not_decide_alone():
     assert found.outcomes["preprocessed"].to_list() == pytest.approx([0, 1 / 50, 1 / 50, 2 / 150])
 
 
-def test_the_trade_off_falls_from_one_end_to_the_other():
+def test_the_trade_off_falls_from_never_to_always():
+    assert [rule.min_plausibility for rule in cascade_rule.candidate_rules(PARAMS)] == [1.0, 0.75, 0.5, 0.25, 0.0]
+    assert cascade_rule.candidate_rules(PARAMS)[0] is NEVER
     runs = many_runs(seed=2).assign(plausibility=np.linspace(0, 0.99, 60))
-    front = trade_off(runs, PARAMS, 10.0)
-    assert len(front) == 5
-    assert (front["preprocessed"].iloc[0], front["lost"].iloc[0]) == (1.0, 0.0)
-    assert front["preprocessed"].iloc[-1] == 0.0
+    front = cascade_rule.trade_off(runs, PARAMS, 10.0)
+    first, last = front.iloc[0], front.iloc[-1]
+    assert (len(front), first["preprocessed"], first["lost"], last["preprocessed"]) == (5, 1.0, 0.0, 0.0)
     assert (np.diff(front["preprocessed"]) < 0).all()
     assert (np.diff(front["lost"]) >= 0).all()
-    assert front["lost"].iloc[-1] == (runs["without_px"] > 10).mean()
+    assert last["lost"] == (runs["without_px"] > 10).mean()

@@ -26,29 +26,20 @@ PARAMS = HandOverParams(
 SEARCHED = {"usac": ("standard", "default"), "prosac": ("standard", "default"), "epiprior": ("generalized", "default")}
 
 
-class FakeFiles:
-    """Matches of one pair: of the length that their input is given."""
-
-    def __init__(self, paths=None):
-        self.paths = paths or {}
-        self.sets = {}
-
-    def only(self, names):
-        return self
-
-    def read(self):
-        return inputs.PairMatches(sets=dict.fromkeys(("standard", "snn", "generalized", "default"), ()),
-                                  pixel_factors=(1.0, 1.0))  # fmt: skip
+def fake_files():
+    """Return matches of one pair: none of each input."""
+    names = ("standard", "snn", "generalized", "default")
+    matches = inputs.PairMatches(sets=dict.fromkeys(names, ()), pixel_factors=(1.0, 1.0))
+    files = SimpleNamespace(paths={}, read=lambda: matches)
+    files.only = lambda names: files
+    return files
 
 
 @pytest.fixture
 def search(monkeypatch):
     """Search on two pairs whose errors are those of a function of the hand-over."""
-    pairs = [
-        SimpleNamespace(pair_id=f"pair-{k}", files=(), control_points=lambda: (np.zeros((1, 2)), np.zeros((1, 2))))
-        for k in range(2)
-    ]
-    calls = []
+    points, calls = 2 * (np.zeros((1, 2)),), []
+    pairs = [SimpleNamespace(pair_id=f"pair-{k}", files=(), control_points=lambda: points) for k in range(2)]
 
     def run(error):
         def best_fundamental(sets, *, estimator, hand_over, **_):
@@ -58,13 +49,13 @@ def search(monkeypatch):
         monkeypatch.setattr(hand_over_search, "best_fundamental", best_fundamental)
         return hand_over_search.search_hand_overs(pairs, inputs=SEARCHED, params=PARAMS)
 
-    def map_tasks(function, tasks, **_):
-        return [function(**task.payload) for task in tasks]
-
-    monkeypatch.setattr(hand_over_search, "map_tasks", map_tasks)
-    monkeypatch.setattr(hand_over_search, "store_matches", lambda pairs, *_, **__: [FakeFiles() for _ in pairs])
-    monkeypatch.setattr(hand_over_search, "errors_px", lambda F, *points: np.array([F]))
-    monkeypatch.setattr(hand_over_search, "_effect", lambda matches, name, how: how)
+    for name, fake in {
+        "map_tasks": lambda function, tasks, **_: [function(**task.payload) for task in tasks],
+        "store_matches": lambda pairs, *_, **__: [fake_files() for _ in pairs],
+        "errors_px": lambda F, *points: np.array([F]),
+        "_effect": lambda matches, name, how: how,
+    }.items():
+        monkeypatch.setattr(hand_over_search, name, fake)
     return SimpleNamespace(run=run, calls=calls)
 
 
@@ -153,14 +144,8 @@ def test_a_hand_over_is_left_only_for_gains_above_their_standard_error():
 def test_equal_matches_are_estimated_once(pairs, monkeypatch, tmp_path):
     [files] = inputs.store_matches(pairs[:1], ("standard", "snn"), tmp_path)
     how = HandOver(max_distance_ratio=0.9, threshold_px=1.0)
-    candidates = [
-        ("snn", how),
-        ("snn", replace(how, max_distance_ratio=None)),  # above the ratio of all its matches
-        ("snn", replace(how, top_k=10_000)),
-        ("snn", replace(how, top_k=50)),
-        ("snn", replace(how, threshold_px=2.0)),
-        ("standard", how),
-    ]
+    changes = ({}, {"max_distance_ratio": None}, {"top_k": 10_000}, {"top_k": 50}, {"threshold_px": 2.0})
+    candidates = [*(("snn", replace(how, **change)) for change in changes), ("standard", how)]  # three alike
     calls = []
 
     def counted(sets, *, seed, **settings):

@@ -1,3 +1,5 @@
+"""Platt scaling, and its cross-validation."""
+
 import numpy as np
 import pytest
 from scipy.special import expit, logit
@@ -17,8 +19,7 @@ def overconfident(size=20_000, seed=0):
 def test_platt_finds_the_distortion():
     said, labels, p = overconfident()
     platt = fit_platt(said, labels)
-    assert platt.a == pytest.approx(0.5, abs=0.02)
-    assert platt.b == pytest.approx(-0.5, abs=0.05)
+    assert (platt.a, platt.b) == (pytest.approx(0.5, abs=0.02), pytest.approx(-0.5, abs=0.05))
     assert np.abs(platt(said) - p).max() < 0.03
     before, after = (calibration_bins(each, labels).expected_calibration_error for each in (said, platt(said)))
     assert after < 0.01 < before
@@ -35,17 +36,18 @@ def test_the_sigmoid_is_that_of_unpenalised_logistic_regression():
 
 
 def test_platt_is_strictly_increasing_and_bounded():
-    p = np.linspace(0, 1, 1001)
-    calibrated = Platt(0.7, -0.3)(p)
+    calibrated = Platt(0.7, -0.3)(np.linspace(0, 1, 1001))
     assert (np.diff(calibrated) > 0).all()
     assert calibrated[0] > 0
     assert calibrated[-1] < 1
 
 
-def test_separated_classes_give_a_finite_sigmoid():
+def test_separated_classes_give_a_finite_sigmoid_and_what_cannot_be_calibrated_is_left_alone():
     a, b = fit_sigmoid(np.arange(20.0), np.arange(20) >= 10)
     assert 0 < a < 100
     assert -b / a == pytest.approx(9.5, abs=0.1)
+    said = np.linspace(0.1, 0.9, 12)
+    np.testing.assert_array_equal(cross_calibrate(said, np.arange(12) < 6, np.arange(12) % 2), said)
 
 
 @pytest.mark.parametrize("labels", [np.zeros(10, bool), np.ones(10, bool), np.arange(10) < 5])
@@ -66,8 +68,3 @@ def test_cross_calibration_does_not_see_the_row():
     after = cross_calibrate(said, changed, fold)
     np.testing.assert_allclose(before[fold == 1], after[fold == 1], rtol=1e-6)
     assert (np.abs(before[fold == 0] / after[fold == 0] - 1) > 1e-3).all()
-
-
-def test_cross_calibration_leaves_alone_what_it_cannot_calibrate():
-    said = np.linspace(0.1, 0.9, 12)
-    np.testing.assert_array_equal(cross_calibrate(said, np.arange(12) < 6, np.arange(12) % 2), said)

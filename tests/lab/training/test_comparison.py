@@ -1,9 +1,11 @@
+"""Comparison of all families on both classifiers of both presets, on made-up rows; tables and tracked runs."""
+
 import csv
 import io
 import json
 import pickle
 import re
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,15 +36,11 @@ PARAMS = TrainParams(
 )
 
 
-# --- samples
-
-
 def drawn():
+    parts = zip(ROWS.scenes.tolist(), ROWS.pairs.tolist(), ROWS.slices, strict=True)
     samples = [
-        Sample.draw(
-            scene=str(scene), pair=str(pair), rows=ROWS.rows[rows], labels=ROWS.labels[rows], most=100, seed=number
-        )
-        for number, (scene, pair, rows) in enumerate(zip(ROWS.scenes, ROWS.pairs, ROWS.slices, strict=True))
+        Sample.draw(scene=scene, pair=pair, rows=ROWS.rows[rows], labels=ROWS.labels[rows], most=100, seed=number)
+        for number, (scene, pair, rows) in enumerate(parts)
     ]
     return TargetRows.stack("match", COLUMNS, samples)
 
@@ -67,29 +65,9 @@ def test_the_digest_tells_rows_apart_and_survives_the_file(tmp_path):
     assert data.digest() != changed.digest()
 
 
-# --- both classifiers of two presets, on made-up rows
-
-
-@dataclass
-class FakeTwoKeypoints:
-    descriptors: np.ndarray
-
-    def select(self, columns):
-        return wide(self.descriptors, columns)
-
-
 def wide(rows, columns):
     """Repeat columns until there are as many as names."""
     return np.tile(rows, (1, len(columns)))[:, : len(columns)].astype(np.float32)
-
-
-@dataclass
-class FakeRows:
-    preset: str
-    pair: str
-    scene: str
-    two_keypoints: FakeTwoKeypoints
-    two_keypoint_labels: np.ndarray
 
 
 def train_in(root, votes):
@@ -102,13 +80,14 @@ def train_in(root, votes):
 
     def read_rows(file):
         rows = ROWS.slices[ROWS.pairs.tolist().index(file.stem)]
-        found = FakeTwoKeypoints(ROWS.rows[rows])
-        return FakeRows(file.parent.name, file.stem, file.stem[:-2], found, ROWS.labels[rows])
+        found = SimpleNamespace(select=lambda columns: wide(ROWS.rows[rows], columns))
+        about = {"preset": file.parent.name, "pair": file.stem, "scene": file.stem[:-2]}
+        return SimpleNamespace(**about, rows=rows, two_keypoints=found, two_keypoint_labels=ROWS.labels[rows])
 
-    def match_rows(rows, probability):
-        votes[rows.preset, rows.pair] = probability
-        described = np.column_stack([probability, rows.two_keypoints.descriptors])
-        return wide(described, find_preset(rows.preset).match_columns), rows.two_keypoint_labels
+    def match_rows(found, probability):
+        votes[found.preset, found.pair] = probability
+        described = np.column_stack([probability, ROWS.rows[found.rows]])
+        return wide(described, find_preset(found.preset).match_columns), found.two_keypoint_labels
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "read_rows", read_rows)
@@ -160,11 +139,11 @@ def test_runs_to_track(trained):
             assert {name, f"{name}.deviation", f"calibrated.{name}"} <= run.metrics.keys()
         assert (f"ungrouped.{name}" in exported.metrics, f"ungrouped.{name}" in other.metrics) == (True, False)
     assert all(re.fullmatch(r"[\w./-]+", name) for name in exported.metrics)
-    assert exported.parameters["seed"] == 3
-    assert exported.parameters["rows"] == len(trained["paper"][1].data.rows)
+    rows = len(trained["paper"][1].data.rows)
+    assert (exported.parameters["seed"], exported.parameters["rows"]) == (3, rows)
     assert [set(fold) >= set(METRICS) - {"precision"} for fold in exported.folds] == [True] * 3
-    assert sorted(exported.figures) == ["importances.png", "precision_recall.png", "reliability.png"]
-    assert sorted(other.figures) == ["precision_recall.png", "reliability.png"]
+    figures = ["precision_recall.png", "reliability.png"]
+    assert (sorted(exported.figures), sorted(other.figures)) == (["importances.png", *figures], figures)
     assert (exported.onnx, other.onnx) == (trained["paper"][1].refit.onnx, None)
     assert exported.rows.shape == (5, 3)
 
@@ -193,8 +172,7 @@ def test_curves_end_with_all_rows(trained):
     found = trained["paper"][1]
     rows = [r for r in table(curves_csv([found])) if (r["family"], r["grouped"]) == ("tree", "true")]
     curve = [r for r in rows if r["curve"] == "precision_recall"]
-    assert float(curve[-1]["x"]) == 1
-    assert int(curve[-1]["count"]) == len(found.data.labels)
+    assert (float(curve[-1]["x"]), int(curve[-1]["count"])) == (1, len(found.data.labels))
     assert float(curve[-1]["y"]) == pytest.approx(found.data.labels.mean(), abs=1e-5)
     assert float(curve[0]["y"]) > float(curve[-1]["y"])
     counts = [int(r["count"]) for r in rows if r["curve"] == "reliability_calibrated"]

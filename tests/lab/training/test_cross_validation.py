@@ -1,4 +1,7 @@
+"""Folds by scene and by row, and cross-validation over them."""
+
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,9 +21,6 @@ def validate(family="lightgbm", by_scene=True, **changes):
     return cross_validate(family, ROWS, fold, by_scene=by_scene, seed=7, **changes)
 
 
-# --- folds
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_no_scene_is_in_two_folds(seed):
     fold = folds_by_scene(ROWS.labels, ROWS.scene, 5, seed)
@@ -29,15 +29,11 @@ def test_no_scene_is_in_two_folds(seed):
         assert len(set(fold[ROWS.scene == name].tolist())) == 1
 
 
-def test_fewer_scenes_than_folds_are_refused():
+def test_folds_of_few_or_uneven_scenes():
     with pytest.raises(TrainingError, match="3 scenes for 4 folds"):
         folds_by_scene(ROWS.labels[:9], np.repeat(["a", "b", "c"], 3), 4, 0)
-
-
-def test_every_fold_gets_a_scene_where_sizes_are_uneven():
     scene = np.repeat([f"{i}" for i in range(6)], [5000, 10, 10, 10, 10, 10])
-    labels = np.arange(len(scene)) % 7 == 0
-    fold = folds_by_scene(labels, scene, 6, 0)
+    fold = folds_by_scene(np.arange(len(scene)) % 7 == 0, scene, 6, 0)
     assert len(np.unique(fold)) == 6
 
 
@@ -50,32 +46,27 @@ def test_folds_by_row_split_scenes_and_balance_classes():
         folds_by_row(np.arange(100) < 3, 10, 0)
 
 
-# --- cross-validation
-
-
-def test_a_classifier_never_sees_the_scenes_that_it_is_measured_on(monkeypatch):
+@pytest.mark.parametrize("by_scene", [True, False])
+def test_a_classifier_never_sees_the_scenes_that_it_is_measured_on(monkeypatch, by_scene):
     # The level column tells the scene; remember which are trained on and which predicted in each fold.
     trained, predicted = [], []
 
-    class Spy:
-        def probability(self, rows):
-            predicted.append(set(np.round(rows[:, 3]).tolist()))
-            return np.linspace(0.1, 0.9, len(rows))
+    def scenes_of(rows):
+        return set(np.round(rows[:, 3]).tolist())
+
+    def probability(rows):
+        predicted.append(scenes_of(rows))
+        return np.linspace(0.1, 0.9, len(rows))
 
     def spy(rows, labels, seed):
-        trained.append(set(np.round(rows[:, 3]).tolist()))
-        return Spy()
+        trained.append(scenes_of(rows))
+        return SimpleNamespace(probability=probability)
 
     monkeypatch.setitem(FAMILIES, "tree", spy)
     monkeypatch.setattr(training, "cross_calibrate", lambda probability, labels, fold: probability)
-    validate("tree")
+    validate("tree", by_scene=by_scene)
     assert len(trained) == len(predicted) == 4
-    for seen, measured in zip(trained, predicted, strict=True):
-        assert not seen & measured
-    trained.clear()
-    predicted.clear()
-    validate("tree", by_scene=False)
-    assert all(seen & measured for seen, measured in zip(trained, predicted, strict=True))
+    assert [bool(seen & measured) for seen, measured in zip(trained, predicted, strict=True)] == [not by_scene] * 4
 
 
 def test_splitting_scenes_leaks():
@@ -88,8 +79,7 @@ def test_everything_but_times_is_the_same_again():
     first, second = validate("random-forest", max_rows=500), validate("random-forest", max_rows=500)
     np.testing.assert_array_equal(first.probability, second.probability)
     np.testing.assert_array_equal(first.calibrated, second.calibrated)
-    assert first.metrics == second.metrics
-    assert first.fold_metrics == second.fold_metrics
+    assert (first.metrics, first.fold_metrics) == (second.metrics, second.fold_metrics)
 
 
 def test_out_of_fold_probabilities_are_those_of_the_classifiers_that_are_kept():

@@ -1,3 +1,5 @@
+"""Families of classifiers: what is fitted, how it is smoothed and rounded, and what cannot be fitted."""
+
 import warnings
 
 import lightgbm
@@ -20,8 +22,7 @@ ROWS = make_rows()
 def test_every_family_ranks_right_rows_first(family):
     fitted = fit(family, ROWS.rows, ROWS.labels, seed=1)
     probability = fitted.probability(ROWS.rows)
-    assert probability.dtype == np.float64
-    assert probability.shape == ROWS.labels.shape
+    assert (probability.dtype, probability.shape) == (np.float64, ROWS.labels.shape)
     assert probability.min() >= 0
     assert probability.max() <= 1
     assert probability[ROWS.labels].mean() > probability[~ROWS.labels].mean() + 0.2
@@ -71,17 +72,7 @@ def test_thresholds_of_lightgbm_are_float32_and_change_nothing(monkeypatch):
 
 
 def thresholds_of(booster: lightgbm.Booster) -> list[float]:
-    values = []
-
-    def walk(node):
-        if "threshold" in node:
-            values.append(node["threshold"])
-            walk(node["left_child"])
-            walk(node["right_child"])
-
-    for tree in booster.dump_model()["tree_info"]:
-        walk(tree["tree_structure"])
-    return values
+    return booster.trees_to_dataframe()["threshold"].dropna().tolist()
 
 
 def test_round_down_is_the_largest_float32_not_above():

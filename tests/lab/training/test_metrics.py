@@ -1,3 +1,5 @@
+"""Metrics of rows and of pairs, by hand."""
+
 import numpy as np
 import pytest
 from sklearn.metrics import average_precision_score
@@ -61,9 +63,7 @@ def test_a_sample_estimates_the_top_of_all_rows():
 
 
 def test_row_metrics_by_hand():
-    labels = np.array([True, False, True, False])
-    probability = np.array([0.8, 0.6, 0.4, 0.0])
-    found = row_metrics(probability, labels)
+    found = row_metrics(np.array([0.8, 0.6, 0.4, 0.0]), np.array([True, False, True, False]))
     assert found["accuracy"] == found["precision"] == 0.5
     assert found["brier_score"] == pytest.approx((0.04 + 0.36 + 0.36 + 0) / 4)
     assert found["log_loss"] == pytest.approx(-np.log([0.8, 0.4, 0.4, 1 - 1e-7]).mean())

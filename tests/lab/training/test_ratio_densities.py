@@ -1,3 +1,5 @@
+"""Densities of distance ratios, learnt from training scenes."""
+
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,14 +20,11 @@ def learn(monkeypatch, ratios, labels):
     return ratio_densities.learn_densities(SimpleNamespace(image1=k, image2=k) for k in range(len(ratios)))
 
 
-def test_every_pair_counts_alike(monkeypatch):
+def test_every_pair_counts_alike_and_one_without_right_matches_tells_only_of_wrong_ones(monkeypatch):
     labels = [[True, False, False, True], [True, False]]
     right, wrong = learn(monkeypatch, [[0.3, 0.9, 0.95, 0.4], [0.8, 0.99]], labels)
     np.testing.assert_allclose(right, (density(np.array([0.3, 0.4])) + density(np.array([0.8]))) / 2)
     np.testing.assert_allclose(wrong, (density(np.array([0.9, 0.95])) + density(np.array([0.99]))) / 2)
-
-
-def test_a_pair_without_right_matches_tells_only_of_wrong_ones(monkeypatch):
     right, wrong = learn(monkeypatch, [[0.5, 0.9], [0.7, 0.8]], [[True, False], [False, False]])
     np.testing.assert_allclose(right, density(np.array([0.5])))
     np.testing.assert_allclose(wrong, (density(np.array([0.9])) + density(np.array([0.7, 0.8]))) / 2)

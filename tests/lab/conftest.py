@@ -14,21 +14,18 @@ from tiny_model import make_model
 def relief(tmp_path_factory):
     """The folder of the set, and beside it the matches of a peer, `twin`, which are right."""
     root = tmp_path_factory.mktemp("sets") / "relief"
-    (root / "images").mkdir(parents=True)
-    (root / "control_points").mkdir()
-    left, right = relief_pair()
-    grey = np.full_like(left, 128)
-    lines = ["pair_id,image1,image2,gt,scene,difficulty"]
+    peer = root.parent / "peers" / "relief" / "twin"
+    for folder in (root / "images", root / "control_points", peer):
+        folder.mkdir(parents=True)
     y, x = np.mgrid[10:350:9j, 10:400:9j]
     disparity = 25 + 12 * np.sin(x / 45) * np.cos(y / 40) + 8 * np.sin(y / 23)
     points = np.column_stack([(x + disparity).ravel(), y.ravel(), x.ravel(), y.ravel()])
-    peer = root.parent / "peers" / "relief" / "twin"
-    peer.mkdir(parents=True)
     ones = dict.fromkeys(("scale1", "scale2", "orientation1_deg", "orientation2_deg"), np.ones(len(points)))
     indices = dict.fromkeys(("feature1", "feature2"), np.arange(len(points)))
-    for name, images in (("relief-0", (left, right)), ("blank-0", (grey, grey))):
-        save(root / "images" / f"{name}-1.png", images[0])
-        save(root / "images" / f"{name}-2.png", images[1])
+    lines = ["pair_id,image1,image2,gt,scene,difficulty"]
+    for name, images in (("relief-0", relief_pair()), ("blank-0", 2 * (np.full((360, 480), 128, np.uint8),))):
+        for side, image in enumerate(images, start=1):
+            save(root / "images" / f"{name}-{side}.png", image)
         lines.append(f"{name},images/{name}-1.png,images/{name}-2.png,control_points,{name[:-2]},")
         header = "x1,y1,x2,y2"
         np.savetxt(root / "control_points" / f"{name}.csv", points, delimiter=",", header=header, comments="")
@@ -47,7 +44,11 @@ def model_folder(tmp_path_factory):
     return make_model(tmp_path_factory.mktemp("models") / "default")
 
 
+@pytest.fixture(scope="session")
+def model(model_folder):
+    return load_model(model_folder)
+
+
 @pytest.fixture
-def tiny_model(model_folder, monkeypatch):
-    model = load_model(model_folder)
+def tiny_model(model, monkeypatch):
     monkeypatch.setattr(epiprior.rank, "load_model", lambda name: model)
