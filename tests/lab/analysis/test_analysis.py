@@ -22,12 +22,7 @@ from epiprior_lab.analysis.bench import AnalysisSettings
 from epiprior_lab.analysis.records import Analysis, LimitRecord, VariantRecord
 from epiprior_lab.analysis.variants import oriented_votes, propose, ranked_sets, reordered
 from epiprior_lab.evaluation.records import RANKS, RankingRecord, RunRecord, Tables
-<<<<<<< HEAD
 from epiprior_lab.labels.ground_truth import LabelSettings
-from epiprior_lab.pairsets import read_pair_set
-=======
-from epiprior_lab.labels.ground_truth import LabelSettings, errors_px
->>>>>>> t2
 from epiprior_lab.report import analysis as page
 from epiprior_lab.report import analysis_tables
 from synthetic import make_pair
@@ -66,19 +61,7 @@ def ranked(pairs, model):
     return rank_matches(pairs[0].image1, pairs[0].image2, settings=PRESETS["default"], model=model)
 
 
-<<<<<<< HEAD
 # --- kernels and variants
-=======
-def test_kernels_equal_the_measures_of_each_matrix():
-    rng = np.random.default_rng(0)
-    F = rng.normal(size=(12, 3, 3)) * [[1e-6, 1e-6, 1e-3], [1e-6, 1e-6, 1e-3], [1e-3, 1e-3, 1.0]]
-    x1, x2 = rng.uniform(0, 500, (2, 300, 2))
-    by_hand = [int((sampson_distance(matrix, x1, x2) < 20.0).sum()) for matrix in F]
-    assert max(by_hand) > min(by_hand)
-    np.testing.assert_array_equal(supports(F, x1, x2, 20.0), by_hand)
-    means = [errors_px(matrix, x1, x2).mean() for matrix in F]
-    np.testing.assert_allclose(analysis_oracles.mean_errors_px(F, x1, x2), means, rtol=1e-9)
->>>>>>> t2
 
 
 def test_two_oriented_matches_give_eight_points():
@@ -149,12 +132,6 @@ def test_oracles_know_the_truth():
     assert pair.error_px(analysis_oracles.refine_on_all(fit, matches)) < 1.5
     assert analysis_oracles.score(fit, matches) > 2 * analysis_oracles.score(np.eye(3), matches)
     assert analysis_oracles.fit_right(replace(labelled, right=np.zeros_like(pair.right))) is None
-<<<<<<< HEAD
-=======
-    best, errors = analysis_oracles.best_hypotheses(labelled, (pair.control1, pair.control2), 2)
-    np.testing.assert_array_equal(best[0], pair.F)
-    assert errors[0] < 1e-6 < errors[1]
->>>>>>> t2
 
 
 def test_rows_of_a_pair(analysed):

@@ -123,17 +123,11 @@ def test_an_estimate_is_measured_whatever_its_status(tmp_path):
     cameras = two_cameras()
     F, (x1, x2), pair = fundamental_from_cameras(*cameras), points_before(cameras), camera_pair(tmp_path, cameras)
     truth = Truth(labels="depth", points="cameras", x1=x1, x2=x2, F=F)
-<<<<<<< HEAD
     turned_down = FundamentalEstimate(
         status=Status.DEGENERATE, F=None, raw_F=F, x1=x1, x2=x2, inliers=np.zeros(60, np.bool_), support=0,
         estimator="usac",
     )  # fmt: skip
     key = {"group": "g", "estimator": "usac", "input": "snn", "seed": 0, "threshold_px": 1.5}
-=======
-    values = {"x1": x1, "x2": x2, "inliers": np.zeros(60, np.bool_), "support": 0, "estimator": "usac"}
-    turned_down = FundamentalEstimate(status=Status.DEGENERATE, F=None, raw_F=F, **values)
-    key = {"group": "g", "estimator": "usac", "name": "snn", "seed": 0, "threshold_px": 1.5}
->>>>>>> t2
     measures = MeasureSettings(seed=1, distance_points=50)
     record = runs.run_record(turned_down, pair, truth, measures, **key)
     assert (record.status, record.input) == ("degenerate", "snn")
