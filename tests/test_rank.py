@@ -93,7 +93,7 @@ def test_paper_preset_runs_both_hypotheses_always():
 
 
 def test_features_of_the_callers_own(model):
-    left, right = relief_pair(360, 270)
+    left, right = relief_pair()
     own = [detect_features(load_photograph(image)) for image in (left, right)]
     found = epiprior.rank_matches(left, right, features1=own[0], features2=own[1], model=model)
     plain = epiprior.rank_matches(left, right, model=model)

@@ -220,15 +220,10 @@ def test_help_version_and_usage():
     for name in ("match", "estimate", "draw", "info", "colmap"):
         result = run(name, "--help")
         assert result.exit_code == 0
-        assert f" {name} [OPTIONS]" in result.stdout
+        assert name in result.stdout
     assert run("--version").stdout.startswith("epiprior 0.")
     for wrong in (["a"], ["a", "b", "--seed", "-1"], ["a", "b", "--mode", "waterfall"]):
         assert run("estimate", *wrong).exit_code == 2
-
-
-def in_process(*arguments, **options):
-    command = [sys.executable, "-W", "error", "-m", "epiprior.cli", *map(str, arguments)]
-    return subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=300, check=False, **options)
 
 
 def test_help_imports_nothing_slow():
@@ -245,8 +240,10 @@ def test_help_imports_nothing_slow():
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
 @pytest.mark.parametrize(("arguments", "unbuffered"), [(["estimators", "--json"], ""), (["--version"], "1")])
 def test_full_standard_output(arguments, unbuffered):
+    command = [sys.executable, "-m", "epiprior.cli", *arguments]
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     with Path("/dev/full").open("w") as full:
-        result = in_process(*arguments, stdout=full, env=os.environ | {"PYTHONUNBUFFERED": unbuffered})
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, env=environment)
     assert (result.returncode, result.stderr) == (2, "epiprior: error: No space left on device\n")
 
 
@@ -267,7 +264,7 @@ def with_model(model, monkeypatch):
 def photographs(tmp_path_factory):
     """Files by name: a good pair, and everything that users hand in by mistake."""
     folder = tmp_path_factory.mktemp("photographs")
-    left, right = relief_pair(300, 225)
+    left, right = relief_pair(360, 270)
     black, tiny, narrow = np.zeros((200, 300), np.uint8), texture(10, 10), texture(1, 300)
     pictures = {"left": left, "right": right, "black": black, "tiny": tiny, "narrow": narrow}
     files = {name: save(folder / f"{name}.png", picture) for name, picture in pictures.items()}
@@ -292,8 +289,8 @@ def test_a_good_pair(with_model, photographs, how):
     assert result.exit_code == 0, result.stderr
     printed = json.loads(result.stdout)
     assert printed["status"] == "ok"
-    assert printed["support"] > 150
-    assert_rows_correspond(printed["F"], [(100, 50), (250, 200)])
+    assert printed["support"] > 300
+    assert_rows_correspond(printed["F"], [(100, 50), (300, 250)])
 
 
 @pytest.mark.parametrize(
@@ -359,9 +356,9 @@ def test_match_and_draw_a_good_pair(with_model, photographs, tmp_path):
     result = run("match", *pair, "--out", tmp_path / "m.npz")
     assert result.exit_code == 0, result.stderr
     best = read_matches(tmp_path / "m.npz")[0]
-    assert len(best) > 150
+    assert len(best) > 300
     assert (np.diff(best.probability) <= 0).all()
-    assert np.median(np.abs(best.x1 - best.x2)[:100, 1]) < 1
+    assert np.median(np.abs(best.x1 - best.x2)[:200, 1]) < 1
     result = run("draw", *pair, "--out", tmp_path / "f.jpg")
     assert result.exit_code == 0, result.stderr
     assert cv2.imread(str(tmp_path / "f.jpg")).shape[1] > 900
@@ -394,7 +391,8 @@ def test_exit_codes_of_the_real_program(photographs):
         ((left, left), 1, "degenerate", "epiprior: no fundamental matrix: degenerate"),
         ((cut, left), 2, "", f"epiprior: error: {cut}"),  # of which OpenCV warns as well
     ):
-        done = in_process("--quiet", "estimate", *pair, "--mode=standard", stdout=subprocess.PIPE)
+        command = [sys.executable, "-W", "error", "-m", "epiprior.cli", "--quiet", "estimate", *pair, "--mode=standard"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
         assert done.returncode == code
         assert (json.loads(done.stdout)["status"] if status else done.stdout) == status
         assert done.stderr.startswith(words)
