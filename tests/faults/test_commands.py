@@ -120,7 +120,7 @@ def test_working_size_and_features_are_set_on_the_command_line(library, images, 
     options = ["--max-image-size", 512, "--features", "colmap-sift", "--max-features", 100, "--preset", "paper"]
     result = run(command, *images[:2], *rest, *options)
     assert result.exit_code == 0, result.output
-    settings = library.calls[-1][1]["settings"]
+    settings = [given["settings"] for _, given in library.calls if "settings" in given][-1]
     paper = epiprior.presets.find_preset("paper")
     wanted = replace(paper.features, max_image_size=512, detector="colmap-sift", max_keypoints=100)
     assert settings == replace(paper, features=wanted)
