@@ -114,7 +114,7 @@ def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = 
     """
     paths = [_absolute(image) for image in images]
     if image_root is None:
-        image_root = os.path.commonpath([path.parent for path in paths] or ["."])
+        image_root = os.path.commonpath([path.parent for path in paths] or [Path()])
     root = _absolute(Path(image_root))
     names: dict[Path, str] = {}
     for path in paths:

@@ -20,11 +20,12 @@ from epiprior.ranking.hypothesis import Candidates, cast_votes
 from epiprior.ranking.models import load_model
 from epiprior.types import FloatArray, MatchSet
 from epiprior_lab.analysis import oracles
-from epiprior_lab.analysis.bench import AnalysisSettings, Bench, HandOvers
+from epiprior_lab.analysis.bench import AnalysisSettings, Bench
 from epiprior_lab.analysis.records import Analysis, LimitRecord, VariantRecord
 from epiprior_lab.analysis.variants import Proposals, oriented_votes, propose, ranked_sets, reordered
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.records import Record
+from epiprior_lab.evaluation.runs import HandOvers
 from epiprior_lab.features.detection import detect_pair
 from epiprior_lab.labels.ground_truth import LabelSettings, label_matches
 from epiprior_lab.pairsets import Pair

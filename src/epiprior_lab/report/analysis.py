@@ -241,7 +241,7 @@ def _pair_block(evaluated: Tables, group: str, pair_id: str, success_px: float) 
     columns = {"matches": "matches", "right": "right matches"}
     columns |= {"right_10": "right of the first 10", "right_100": "right of the first 100"}
     rows = [
-        [title, *(f"{of_list.loc[(name, ranking), column]:,}" for _, name, ranking, _ in _LISTS)]
+        [title, *(f"{of_list[column].loc[(name, ranking)]:,}" for _, name, ranking, _ in _LISTS)]
         for column, title in columns.items()
     ]
     rows.append(["success", *(_success(runs[runs["input"] == name], success_px) for *_, name in _LISTS)])
