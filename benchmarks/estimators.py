@@ -7,8 +7,6 @@ scored, and optimised where they were the best so far (a sample of seven matches
 runs are on one thread; seconds are processor time, so that what else the machine does matters less.
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 import time

@@ -7,8 +7,6 @@ one thread. Its processor time is counted, which what else the machine does chan
 also loads libraries and the model, is counted apart.
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import resource

@@ -6,8 +6,6 @@ The baseline is SIFT, standard matches X_L and the same estimator. Ratios are me
 process; absolute seconds depend on the machine and on what else it does.
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import resource

@@ -9,8 +9,6 @@ the homographies of true cameras, then blurred, exposed and made noisy like the 
 and matching like any other pair.
 """
 
-from __future__ import annotations
-
 import argparse
 import pickle
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 Pipes instead of a port need no client library: a message is JSON and a zero byte.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import json

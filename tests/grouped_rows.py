@@ -1,7 +1,5 @@
 """Rows of made-up pairs for tests of the training: every scene has its own level, which leaks if split."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small pictures made from scratch, for tests that need photographs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Synthetic matches of two cameras with known F, for tests of everything after the matching."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal

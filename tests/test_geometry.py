@@ -1,7 +1,5 @@
 """Distances and fits are those of plain twins; refinement never loses score and follows the weights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Two photographs in, F out: which matches the estimator gets, and what is done twice."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

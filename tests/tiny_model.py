@@ -1,7 +1,5 @@
 """A model folder made by hand: two logistic regressions, for tests that must not wait for training."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

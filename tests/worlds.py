@@ -1,7 +1,5 @@
 """A small made-up world, and two cameras before it, for tests of rendering and of ground truth."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior_lab.pairsets import Camera, Pair

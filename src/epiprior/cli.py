@@ -1,7 +1,5 @@
 """The command line. Exit codes: 0 ok, 1 no geometry found, 2 bad input or output."""
 
-from __future__ import annotations
-
 import io
 import logging
 import os

@@ -4,8 +4,6 @@ Conventions: ``x1, x2`` are ``(N, 2)`` float64 pixels; ``x2' F x1 = 0``; residua
 Hartley and Zisserman, Multiple View Geometry, 2nd ed., chapter 11 (eight points: 11.2; Sampson: 11.4.3).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

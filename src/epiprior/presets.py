@@ -4,8 +4,6 @@ A preset names its model (``models/<preset>``) and the input of estimators that 
 2kpmd and kpmd are settings too: a model is trained on those of its preset.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The composition: two images in, matches with probabilities out (paper, algorithm 1, lines 2 to 16)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.errors import ModelError

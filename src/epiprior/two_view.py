@@ -1,7 +1,5 @@
 """Two photographs in, F out: on ranked matches, on standard matches, or on ranked ones where standard ones fail."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import get_args

@@ -1,7 +1,5 @@
 """Measures of rankings (boolean: whether each match is right, best first) and of probabilities."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

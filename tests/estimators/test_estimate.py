@@ -1,7 +1,5 @@
 """From ranked matches to an estimate: hypotheses, hand-over, collection, refinement, working pixels."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The estimator ``epiprior``: what it uses of the prior, what it mends, what it refuses, and its kernels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """The estimators of our own loop: what their parts are for, and the priors they sample by."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

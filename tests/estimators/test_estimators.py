@@ -1,7 +1,5 @@
 """Every estimator on every kind of bad input, and the traps of their backends."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.util import find_spec
 from types import SimpleNamespace

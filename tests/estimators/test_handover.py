@@ -1,7 +1,5 @@
 """Hand-over: the cuts, one-to-one, and the file that keeps the choices."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What other people's files, pipes and databases do to the commands: checked first, named, or worked around."""
 
-from __future__ import annotations
-
 import sqlite3
 import subprocess
 import sys

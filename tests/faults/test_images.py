@@ -1,7 +1,5 @@
 """Image files as other people have them: read rightly, or refused by a message that names file, reason and remedy."""
 
-from __future__ import annotations
-
 import re
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Every kernel of the estimators against a slow, plain twin."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import combinations
 

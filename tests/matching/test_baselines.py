@@ -1,7 +1,5 @@
 """Inputs that are not ranked: standard matches, mutual nearest neighbours, candidates of generalised RANSAC."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Coherence against its naive twin, and what it is for: telling a match that moves with its surroundings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The rule of the cascade and its file."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The null model: counts, rates, and that noise does not pass while real support does."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Alarms on planes, rotations, lines and identical images; none where something decides F."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pictures of a plane, and by a turning camera: detected, matched and estimated, nothing decides F. Relief does."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import cv2

@@ -1,7 +1,5 @@
 """Plausibility of F against singular values, on cameras of many kinds; the cells that inliers cover."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pictures that share a watermark, bars of a screen or a time stamp: what does not move decides nothing."""
 
-from __future__ import annotations
-
 import cv2
 import pytest
 

@@ -6,8 +6,6 @@ height).
 Written is FOLDER/<pair id>.<ranker>.npz with ``rows`` (M, 2): features of both images, best match first.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

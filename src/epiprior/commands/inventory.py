@@ -1,7 +1,5 @@
 """Commands on what comes with epiprior: `info` on models, and the list of `estimators`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

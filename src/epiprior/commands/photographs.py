@@ -1,7 +1,5 @@
 """Commands on photographs: `match`, `estimate`, `draw` and `colmap`."""
 
-from __future__ import annotations
-
 import itertools
 import logging
 import math

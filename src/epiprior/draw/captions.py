@@ -1,7 +1,5 @@
 """The words and the colour scale of a figure of `epiprior.draw.pictures`."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

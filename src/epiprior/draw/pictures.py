@@ -3,8 +3,6 @@
 Drawn with OpenCV alone. Points are pixels of the images as given, the centre of the top-left pixel at (0, 0).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The estimator ``epiprior``: it starts from what the preprocessing left behind, and asks for a plausible camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

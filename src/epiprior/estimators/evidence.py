@@ -6,8 +6,6 @@ one small part of image 1 to one small part of image 2 count once, by the best o
 two photographs can have (`epiprior.verification.measures`), which does not depend on the matches at all.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.geometry import SCORE_THRESHOLD_PX, as_columns, centred_columns

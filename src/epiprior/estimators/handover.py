@@ -4,8 +4,6 @@
 is kept in ``models/hand_over.json``.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ All three sample progressively (PROSAC), so the order of the matches is the prio
 with 5.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

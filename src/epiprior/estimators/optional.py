@@ -5,8 +5,6 @@ through pydegensac. All but ``prosac`` take no prior: what helps them is a short
 pixel origin, so F comes back in it too: COLMAP's half pixel is no concern here.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -16,8 +16,6 @@
 Local optimisation and the oriented constraint are ours.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 All are deterministic: pairs of matches are taken in order, samples are drawn by a generator of fixed state.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.geometry import as_columns, sampson_distance

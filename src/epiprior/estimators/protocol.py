@@ -1,7 +1,5 @@
 """What an estimator is given and what it returns, before epiprior looks at the answer."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from importlib import metadata

@@ -6,8 +6,6 @@ memory: see Goshen and Shimshoni, Balanced exploration and exploitation model se
 estimation, TPAMI 2008.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.types import FloatArray, MatchSet

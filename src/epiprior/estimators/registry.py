@@ -1,7 +1,5 @@
 """All estimators by name, and the one way to run them."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from numbers import Integral

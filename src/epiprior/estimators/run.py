@@ -1,7 +1,5 @@
 """From matches to F: roll hypotheses, hand-over, refinement, support, status (paper, section 4.7)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Descriptors of features: at a fixed orientation (paper, section 4.2), and normalised (section 4.1)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -1,7 +1,5 @@
 """Step 1: local features of a photograph (paper, section 4.1)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

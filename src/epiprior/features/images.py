@@ -4,8 +4,6 @@ An image larger than `FeatureSettings.max_image_size` is worked on at that size;
 in pixels of the image as given. docs/images.md says what forms of images are read and how.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import logging

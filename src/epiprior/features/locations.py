@@ -1,7 +1,5 @@
 """Features by location: those that differ only in orientation, twins, are one location."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

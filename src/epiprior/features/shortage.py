@@ -1,7 +1,5 @@
 """Why a pair has too few matches, as far as its images tell."""
 
-from __future__ import annotations
-
 from epiprior.features.detect import detect_features
 from epiprior.features.images import View, describe_photograph, load_photograph
 from epiprior.presets import FeatureSettings

@@ -5,8 +5,6 @@ Its mapper reads ``two_view_geometries``, yet counts a pair only where ``matches
 written.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ not. COLMAP and hloc store roots already. So the roots are undone here: an entry
 root; the descriptor's length does not matter.
 """
 
-from __future__ import annotations
-
 import sqlite3
 from contextlib import closing
 from pathlib import Path

@@ -7,8 +7,6 @@ the best match comes first. A probability that is not known is an empty cell in 
 matrices of a set and the sizes of the images are not kept.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """Compiled algebra of small matrices and polynomials, for the solvers: no allocation, no LAPACK."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

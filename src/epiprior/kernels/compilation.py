@@ -1,7 +1,5 @@
 """How kernels are compiled: on one thread, kept on disk where that can be, announced where it takes a while."""
 
-from __future__ import annotations
-
 import functools
 import logging
 from collections.abc import Callable

@@ -7,8 +7,6 @@ References, as we recall them: LO-RANSAC: Chum, Matas and Kittler, DAGM 2003 (in
 shrinking threshold); joint feature distributions: Triggs, ICCV 2001.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.kernels.algebra import copy_matrix

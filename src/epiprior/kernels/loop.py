@@ -6,8 +6,6 @@ For developers: numba's cache of a kernel does not notice changes in kernels tha
 them, delete ``__pycache__`` of this folder.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

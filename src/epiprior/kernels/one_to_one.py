@@ -1,7 +1,5 @@
 """One-to-one matches of a ranking: a feature may be used once. Beyond the paper, whose rankings are many-to-many."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

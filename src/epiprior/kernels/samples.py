@@ -8,8 +8,6 @@ RANSAC benefits from the oriented epipolar constraint, ICPR 2004, and Two-view g
 dominant plane, CVPR 2005; Hartley and Zisserman, 13.6 (the homography of F and three points).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

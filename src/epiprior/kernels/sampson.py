@@ -5,8 +5,6 @@ Matches are columns of an array of shape (4, N): x and y in image 1, x and y in 
 References: Hartley and Zisserman, Multiple View Geometry, 2nd ed., equation 11.9.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.kernels.compilation import compiled

@@ -15,8 +15,6 @@ References: MSAC, MLESAC: Torr and Zisserman, CVIU 2000; Guided-MLESAC: Tordoff 
 it).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ Matches are columns of an array of shape (4, N); F acts on their coordinates.
 References: Hartley and Zisserman, Multiple View Geometry, 2nd ed., 11.1.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Inputs of estimators that are not ranked: X_L, mutual nearest neighbours, candidates of generalised RANSAC."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@ linkage open. The average linkage of two groups is below the cut only if that of
 leave a connected component of the graph {similarity >= 0.85}: components are found by blocks, linkage runs within each.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

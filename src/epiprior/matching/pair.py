@@ -1,7 +1,5 @@
 """Steps 1 to 3a on a pair: features, standard matches, roll hypotheses (paper, sections 4.1 and 4.2)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

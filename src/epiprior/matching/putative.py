@@ -1,7 +1,5 @@
 """Step 4: the putative matches X, from clusters matched in both directions (paper, section 4.3)."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 

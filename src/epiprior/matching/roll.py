@@ -1,7 +1,5 @@
 """Step 3a: the relative roll of the two cameras, from the orientations of standard matches (paper, section 4.2)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.types import FloatArray

@@ -1,7 +1,5 @@
 """Step 2: standard putative matches X_L with distance ratios and X_B with similarity weights (paper, section 4.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

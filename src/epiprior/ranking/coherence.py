@@ -9,8 +9,6 @@ al., ECCV 2020) by local affine maps, both among one candidate per feature. Weig
 ours.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.kernels.compilation import compiled

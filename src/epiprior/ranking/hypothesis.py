@@ -1,7 +1,5 @@
 """Steps 3b to 7 under one roll hypothesis: clusters, X, 2keypoints, votes, kpmd (paper, sections 4.2 to 4.6)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -5,8 +5,6 @@ A model is a folder: ``two_keypoint.onnx`` gives the probability of 2keypoint ma
 card. Loading executes nothing of the folder; a folder that differs from its manifest is refused.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

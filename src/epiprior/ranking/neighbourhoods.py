@@ -1,7 +1,5 @@
 """Step 5a: the neighbours of a feature, with which it makes 2keypoints (paper, section 4.4)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

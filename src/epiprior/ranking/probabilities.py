@@ -1,7 +1,5 @@
 """Step 7: the union of X, X_L and X_B with the descriptor kpmd, from which probabilities come (paper, section 4.6)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Step 5b: matches of pairs of close features (2keypoints) and their descriptor 2kpmd (paper, section 4.4)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

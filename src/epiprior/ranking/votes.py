@@ -1,7 +1,5 @@
 """Step 6: rough fundamental matrices from pairs of 2keypoint matches, and their votes (paper, section 4.5)."""
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 

@@ -5,8 +5,6 @@ standard method fails if it gives no F, or one that two ordinary photographs cou
 estimators; its number is chosen on validation scenes and kept in ``models/cascade.json``.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import asdict, dataclass

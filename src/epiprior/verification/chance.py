@@ -9,8 +9,6 @@ image does not.
 References: the idea is that of a-contrario RANSAC (Moisan and Stival, IJCV 2004); the count of hypotheses is ours.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

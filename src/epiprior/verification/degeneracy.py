@@ -4,8 +4,6 @@ A plane fixes F up to its epipole: every ``F = [e']x H`` explains the matches on
 epipole are then fitted to whatever outliers lie about. Every estimator returns such an F with confidence and support.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """epiprior's own verdict on F: whether its support means anything, and whether anything decides it."""
 
-from __future__ import annotations
-
 from epiprior.geometry import MIN_MATCHES, sampson_distance
 from epiprior.types import FloatArray, Status
 from epiprior.verification.chance import MATCHES_PER_F, beyond_chance, chance_rate, distinct_count

@@ -11,8 +11,6 @@ References: the two equal singular values of an essential matrix (Huang and Faug
 result 9.17). As a soft factor over a range of focal lengths: ours.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ explains matches that stay in place, and one along its epipolar lines those from
 left are fitted to chance. COLMAP calls such pairs watermarks, where the matches are a translation at the border.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

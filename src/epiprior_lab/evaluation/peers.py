@@ -1,7 +1,5 @@
 """Let rankers of others match the pairs, on our RootSIFT features, in an environment of their own."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import tempfile

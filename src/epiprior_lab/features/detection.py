@@ -1,7 +1,5 @@
 """Features of a pair, found once: presets and baselines detect the same, and differ in what follows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from epiprior.features.detect import detect_features

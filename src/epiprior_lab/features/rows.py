@@ -1,7 +1,5 @@
 """Training rows: what the library computes of a pair before any classifier, labelled by the ground truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path

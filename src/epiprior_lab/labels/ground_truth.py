@@ -6,8 +6,6 @@ true F can be checked ("epipolar" labels): 1 to 4 % of random matches satisfy it
 comes from the cameras, or is fitted to all control points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Self
 

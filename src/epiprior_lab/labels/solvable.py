@@ -1,7 +1,5 @@
 """Whether a rendered pair can be solved at all: how many right matches its putative matches X hold, by its depths."""
 
-from __future__ import annotations
-
 from epiprior.matching.pair import prepare_pair, roll_hypotheses
 from epiprior.presets import DEFAULT
 from epiprior.ranking.hypothesis import find_candidates

@@ -3,8 +3,6 @@
 The centre of the top-left pixel is at (0, 0).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

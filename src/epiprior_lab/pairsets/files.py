@@ -1,7 +1,5 @@
 """The files of a pair set: tables, matrices, depth maps and images; errors name the file and the line."""
 
-from __future__ import annotations
-
 import csv
 import io
 import zipfile

@@ -1,7 +1,5 @@
 """Homographies between two images of a plane, or from one point: ``x2 ~ H x1``; points are (N, 2) float64 pixels."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from epiprior.types import FloatArray

@@ -3,8 +3,6 @@
 Names are folder names. The paper's sets cannot be passed on by us; ``docs/pair-sets.md`` says what is known of them.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

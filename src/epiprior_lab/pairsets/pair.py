@@ -1,7 +1,5 @@
 """One pair of a set: two images, and what is true of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Reader of a pair set: a folder with ``pairs.csv``, images, and what is true of each pair."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass

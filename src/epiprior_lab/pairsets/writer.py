@@ -1,7 +1,5 @@
 """Writer of pair sets with cameras and depth maps, from encoded files."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

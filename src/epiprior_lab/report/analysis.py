@@ -1,7 +1,5 @@
 """The page of the analysis and the paper's Table 1: everything that the stage `analysis` writes below ``reports/``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures of the analysis: the paper's curves, ablations, and where successes are lost."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of the analysis: successes of the variants, their rankings, and where successes are lost."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What was wanted of the results (``benchmarks/bounds.yaml``), and what the tables say of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The cascade: what it loses and saves against always preprocessing, and how its rule was learnt."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Figures of the report: one per idea, for rendered scenes and photographs alike; each function writes one PNG file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Photographs may not be passed on. So every picture exists twice: on the photogra
 on blank frames of the same size, for the page that is committed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A page is built once, as sections of prose, tables and figures, and rendered as Markdown and as HTML."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Sequence

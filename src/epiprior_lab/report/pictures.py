@@ -1,7 +1,5 @@
 """Pictures that show images: the contact sheet of rendered pairs, one rescued pair, densities of the roll."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The prose of the reports, kept in ``templates/prose.md``."""
 
-from __future__ import annotations
-
 import functools
 import re
 from importlib import resources

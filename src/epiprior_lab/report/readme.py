@@ -3,8 +3,6 @@
 It stands between ``<!-- results -->`` and ``<!-- /results -->``; everything else is left alone.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

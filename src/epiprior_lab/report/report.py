@@ -1,7 +1,5 @@
 """A report: tables, figures and one page. The study, photographs and any folder are calls of `write_report`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The four tables of an evaluation as the report reads them: which pairs form a group, and every measure by pair."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

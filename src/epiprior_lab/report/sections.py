@@ -1,7 +1,5 @@
 """The sections of a report: prose, tables and figures, made of the report's tables alone; empty ones vanish."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

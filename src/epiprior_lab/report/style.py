@@ -1,7 +1,5 @@
 """One look for all figures: colours that colour-blind readers tell apart, quiet axes, stable bytes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Tables of the report, one row per group of pairs and whatever is compared; each becomes a CSV file of its name."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Tables and figures of time: of each estimator by outcome, and of the whole pipeline against what it contributes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Two cameras that look at a subject: drawn, and kept if geometry says that they see enough in common."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Things that stand about (trees, cars, passers-by, crates, boards, hedges, fences, rocks), and how they are placed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

@@ -1,7 +1,5 @@
 """What is found once on a wall: posters, signs, scrawls, patches of other plaster, stains, vents."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

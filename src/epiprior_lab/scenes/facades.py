@@ -1,7 +1,5 @@
 """Houses: walls with recessed windows, sills, cornices, balconies, pipes, roofs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

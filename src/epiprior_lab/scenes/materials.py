@@ -1,7 +1,5 @@
 """Materials: walls, roofs, pavements and foliage as tileable or large images."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal

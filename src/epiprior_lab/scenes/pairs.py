@@ -1,7 +1,5 @@
 """One rendered pair of a family, from a seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What lens, sensor and file do to an image: exposure, tone, colour cast, vignetting, blur, noise, JPEG."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

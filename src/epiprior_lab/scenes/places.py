@@ -1,7 +1,5 @@
 """Streets and open places: sky, ground and rim, what is built there and what stands about."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import cv2

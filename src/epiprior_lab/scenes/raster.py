@@ -5,8 +5,6 @@ p = (x, y, 1), ``inv(M) p = (s, t, 1) / z``. So inverse depth is the third row o
 (s, t) is the place on the face. All of these are linear along a row of the image.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

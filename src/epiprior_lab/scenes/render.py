@@ -1,7 +1,5 @@
 """A camera's view of a world: how it is lit, its image and its exact depth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

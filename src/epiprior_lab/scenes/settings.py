@@ -1,7 +1,5 @@
 """The four families of scenes, after the data sets of the paper: ZuBuD2; ZuBuD1 and Urban; Open; BLOGS."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

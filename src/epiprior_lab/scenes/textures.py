@@ -1,7 +1,5 @@
 """Raw material of textures: photographs that scikit-image and scikit-learn carry, and natural noise."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from importlib import resources

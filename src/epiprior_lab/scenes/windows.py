@@ -1,7 +1,5 @@
 """Windows, doors and shop fronts: frames that repeat, and what differs from one window to the next."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

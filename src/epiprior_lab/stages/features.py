@@ -1,7 +1,5 @@
 """Stage `features`: candidate rows of the training pairs for every preset, labelled from depth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

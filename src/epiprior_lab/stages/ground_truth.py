@@ -1,7 +1,5 @@
 """Stage `ground_truth`: control points of the rendered pairs of one split, and how their views differ."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

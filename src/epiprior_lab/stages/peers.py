@@ -1,7 +1,5 @@
 """Stage `peers`: rankers of others on the photographs of one set."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Pairs that are evaluated, of validation and test, have to be solvable: a scene w
 drawn anew. Training takes every scene.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """Platt scaling of classifiers' probabilities."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The second classifier learns from the votes of the first. As in later use, the v
 classifier that was not trained on the pair's scene.
 """
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Cross-validation of a family of classifiers, grouped by scene, and the measures that families are compared by."""
 
-from __future__ import annotations
-
 import pickle
 import time
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """The families of classifiers that are compared: each is a function that fits a `Fitted` in one thread."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What the families of classifiers are compared by: rankings within pairs, and probabilities of rows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fitted classifiers as ONNX graphs, the same bytes in every run: ``rows`` (N, C), ``probability`` (N,), float32."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

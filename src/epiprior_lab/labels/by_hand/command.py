@@ -1,7 +1,5 @@
 """``epiprior-lab label``: control points by hand for one pair of images."""
 
-from __future__ import annotations
-
 import threading
 import webbrowser
 from pathlib import Path

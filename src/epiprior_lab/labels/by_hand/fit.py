@@ -4,8 +4,6 @@ A wrong click among few points draws a least-squares fit to itself, so that its 
 subsets of eight; the points that agree with the best of them are fitted as the study fits control points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """COLMAP models: undistorted photographs with cameras, pairs by viewing angle, control points from tracks."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterable
 from pathlib import Path

@@ -3,8 +3,6 @@
 The readme files of these sets do not say where the centre of the top-left pixel is; (0, 0) is our choice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What an importer found, and writing it as a pair set."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -5,8 +5,6 @@ numbers. USAC has a folder per pair with ``im1.jpg``, ``im2.jpg`` and ``orig_pts
 line ``x1 y1 x2 y2`` each. They are putative matches with many wrong ones, and no ground truth.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """A folder of somebody's own photographs: structure from motion gives cameras, control points and pairs."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Extraction and verification of a pair do not depend on the number of threads; what follows is run with one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 import tempfile

@@ -3,8 +3,6 @@
 Homographies take pixels of the first image to the other; we take the centre of the top-left pixel to be (0, 0).
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

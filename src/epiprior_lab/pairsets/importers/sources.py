@@ -1,7 +1,5 @@
 """What importers find in a downloaded folder: files, images that belong to a name, matches as text or MATLAB values."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ the camera; width and height. Pixels count from the centre of the top-left pixel
 we have says so. The files hold no points: control points are triangulated from SIFT matches with the given cameras.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 COLMAP puts the centre of the top-left pixel at (0.5, 0.5), this library at (0, 0): half a pixel is subtracted.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
