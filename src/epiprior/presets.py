@@ -1,7 +1,7 @@
-"""Settings of the method, and the presets: `paper`, the paper as printed, and `default`, the best that we measured.
+"""Settings of the method, and the presets: `paper`, the paper as printed, `default`, and two more for speed or reach.
 
-A preset names its model (``models/<preset>``) and the input of estimators that it ranks. Columns of the descriptors
-2kpmd and kpmd are settings too: a model is trained on those of its preset.
+A preset names its model (``models/<model>``) and the input of estimators that it ranks. Columns of the descriptors
+2kpmd and kpmd are settings too: a model is trained on those of the preset that has its name.
 """
 
 from dataclasses import dataclass, field
@@ -58,6 +58,23 @@ MATCH_COLUMNS = (
     "pair_two_keypoints",
     "pair_support",
 )
+SECOND_ROUND_COLUMNS = (
+    *MATCH_COLUMNS,
+    "probability",
+    "rank",
+    "best_rival1",
+    "best_rival2",
+    *(f"probable_{name}{side}" for side in "12" for name in COHERENCE_COLUMNS),
+    "distance_best",
+    "distance_second",
+    "distance_third",
+    "refined_votes",
+    "evidence_without",
+    "pair_probability",
+    "pair_top_probability",
+    "pair_evidence",
+    "pair_second_evidence",
+)
 
 
 def _check_ranges(settings: object, **ranges: tuple[float, float]) -> None:
@@ -81,19 +98,30 @@ class FeatureSettings:
     detector : ``sift`` (OpenCV) or ``colmap-sift`` (VLFeat's, through pycolmap).
     max_image_size : Longer side at which the image is worked on, pixels, >= 64.
     max_keypoints : Number of strongest features kept, >= 8.
+    contrast_threshold : Least contrast of a feature as OpenCV counts it, in [0, 1]: three times the peak threshold of
+        VLFeat's and COLMAP's SIFT. OpenCV's own 0.04 leaves half of the features of a dull photograph.
+    min_scale : Least sigma, working pixels, >= 0. 2.0 leaves out the doubled image, as VLFeat does by default.
     root : RootSIFT (Arandjelovic and Zisserman, 2012): the square root of the L1-normalised descriptor.
     centred : Subtract the descriptor's mean, so that the inner product is the normalised cross-correlation.
     """
 
     detector: str = "sift"
     max_image_size: int = 1024
-    max_keypoints: int = 4000
+    max_keypoints: int = 8000
+    contrast_threshold: float = 0.013
+    min_scale: float = 0.0
     root: bool = True
     centred: bool = True
 
     def __post_init__(self) -> None:
         _check_choice("detector", self.detector, DETECTORS)
-        _check_ranges(self, max_image_size=(64, float("inf")), max_keypoints=(8, float("inf")))
+        _check_ranges(
+            self,
+            max_image_size=(64, float("inf")),
+            max_keypoints=(8, float("inf")),
+            contrast_threshold=(0.0, 1.0),
+            min_scale=(0.0, 1000.0),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +130,8 @@ class PreprocessSettings:
 
     Parameters
     ----------
-    name : Of the preset, and of the model that belongs to it.
+    name : Of the preset.
+    model : Name of the model and of the hand-overs that it uses.
     features : Section 4.1.
     max_distance_ratio : X_L keeps matches up to this d_r (section 4.1).
     roll_bandwidth_deg : Width of the kernel of the roll's density, degrees (section 4.2).
@@ -116,9 +145,11 @@ class PreprocessSettings:
     frame, frame_radius : Of the rough fundamental matrices; see `frame_points` (section 4.5).
     vote_threshold : Sampson distance below which a match supports a matrix, working pixels (section 4.5).
     two_keypoint_columns, match_columns : Of 2kpmd and kpmd (sections 4.4 and 4.6).
+    second_round : So many of the most probable matches are judged again; 0: none (ours; `second_round`).
     """
 
     name: str
+    model: str = "default"
     features: FeatureSettings = field(default_factory=FeatureSettings)
     max_distance_ratio: float = 0.95
     roll_bandwidth_deg: float = 7.0
@@ -135,6 +166,7 @@ class PreprocessSettings:
     vote_threshold: float = 3.0
     two_keypoint_columns: tuple[str, ...] = TWO_KEYPOINT_COLUMNS
     match_columns: tuple[str, ...] = MATCH_COLUMNS
+    second_round: int = 3000
 
     def __post_init__(self) -> None:
         _check_choice("frame", self.frame, FRAMES)
@@ -152,6 +184,7 @@ class PreprocessSettings:
             two_keypoint_count=(2, 1000),
             frame_radius=(0.1, 100.0),
             vote_threshold=(0.01, 100.0),
+            second_round=(0, 1_000_000),
         )
 
     @property
@@ -162,15 +195,22 @@ class PreprocessSettings:
 
 PAPER = PreprocessSettings(
     name="paper",
-    features=FeatureSettings(root=False),
+    model="paper",
+    features=FeatureSettings(contrast_threshold=0.0, min_scale=2.0, root=False),  # VLFeat's defaults
     max_distance_ratio=0.9,
     merge_rolls_deg=0.0,
     frame="feature",
     two_keypoint_columns=PAPER_TWO_KEYPOINT_COLUMNS,
     match_columns=PAPER_MATCH_COLUMNS,
+    second_round=0,
 )
 DEFAULT = PreprocessSettings(name="default")
-PRESETS = {preset.name: preset for preset in (PAPER, DEFAULT)}
+FAST = PreprocessSettings(name="fast", features=FeatureSettings(max_keypoints=4000))
+THOROUGH = PreprocessSettings(
+    name="thorough",
+    features=FeatureSettings(max_image_size=1600, max_keypoints=16_000, contrast_threshold=0.005),
+)
+PRESETS = {preset.name: preset for preset in (PAPER, FAST, DEFAULT, THOROUGH)}
 
 
 def find_preset(name: str) -> PreprocessSettings:

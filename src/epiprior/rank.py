@@ -10,12 +10,14 @@ from epiprior.matching.pair import PreparedPair, Stopwatch, prepare_pair, roll_h
 from epiprior.presets import (
     MATCH_COLUMNS,
     PAPER_TWO_KEYPOINT_COLUMNS,
+    SECOND_ROUND_COLUMNS,
     TWO_KEYPOINT_COLUMNS,
     PreprocessSettings,
     find_preset,
 )
 from epiprior.ranking.hypothesis import Candidates, Votes, cast_votes, describe_matches, find_candidates
-from epiprior.ranking.models import TARGETS, RankingModel, load_model
+from epiprior.ranking.models import RankingModel, load_model
+from epiprior.ranking.second_round import second_round_rows, second_round_table
 from epiprior.ranking.votes import add_votes
 from epiprior.types import Features, MatchSet, RankedMatches
 
@@ -36,7 +38,8 @@ def rank_matches(
     ----------
     image1, image2 : The photographs: a file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4)
         RGBA. None where features are handed in and no image is at hand.
-    preset : ``default``, the best that we measured, or ``paper``, the paper as printed.
+    preset : ``default``; ``fast``, half the features; ``thorough``, twice as many of larger images; or ``paper``, the
+        paper as printed.
     features1, features2 : Features of the caller's own, instead of detected ones.
     settings : Instead of the preset's.
     model : Instead of the preset's own.
@@ -56,7 +59,7 @@ def rank_matches(
     """
     settings = settings or find_preset(preset)
     announce_compilation(add_votes, "the preprocessing", "about half a minute")
-    model = model or load_model(settings.name)
+    model = model or load_model(settings.model)
     _check_columns(model, settings)
     watch = Stopwatch()
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, watch=watch)
@@ -70,26 +73,37 @@ def rank_matches(
         with watch.step("votes"):
             votes = cast_votes(candidates.frames, candidates.two_keypoints, probability, settings)
         with watch.step("probabilities"):
-            sets.append(rank_voted(prepared, candidates, votes, model))
+            sets.append(rank_voted(prepared, candidates, votes, model, settings))
     standard = standard_set(prepared, settings)
     return RankedMatches(sets=tuple(sets), standard=standard, seconds=watch.seconds, preset=settings.name)
 
 
 def _check_columns(model: RankingModel, settings: PreprocessSettings) -> None:
     """Raise ModelError where the model has columns that are not computed: it is of another preset or version."""
-    made = (TWO_KEYPOINT_COLUMNS if settings.extended else PAPER_TWO_KEYPOINT_COLUMNS, MATCH_COLUMNS)
-    for target, wanted, known in zip(TARGETS, (model.two_keypoint_columns, model.match_columns), made, strict=True):
+    two_keypoint = TWO_KEYPOINT_COLUMNS if settings.extended else PAPER_TWO_KEYPOINT_COLUMNS
+    known_columns = (two_keypoint, MATCH_COLUMNS, SECOND_ROUND_COLUMNS)
+    again = model.second_round.columns if model.second_round else ()
+    for wanted, known in zip((model.two_keypoint_columns, model.match_columns, again), known_columns, strict=True):
         missing = [name for name in wanted if name not in known]
         if missing:
             what = f"asks for columns that preset {settings.name} of this epiprior does not have"
-            raise ModelError(f"model {model.name}: {target} {what}: {', '.join(missing)}")
+            raise ModelError(f"model {model.name} {what}: {', '.join(missing)}")
 
 
-def rank_voted(prepared: PreparedPair, candidates: Candidates, votes: Votes, model: RankingModel) -> MatchSet:
-    """Return X, X_L and X_B together with their probabilities, best first (section 4.6), after the votes."""
+def rank_voted(
+    prepared: PreparedPair, candidates: Candidates, votes: Votes, model: RankingModel, settings: PreprocessSettings
+) -> MatchSet:
+    """Return X, X_L and X_B together with their probabilities, best first (section 4.6), after the votes.
+
+    `settings.second_round` of the most probable matches are judged again, if the model can.
+    """
     union, frames = candidates.united.union, candidates.united.frames
     table = describe_matches(candidates.united, prepared.table, candidates.two_keypoints, votes)
     probability = model.predict_match(table.select(model.match_columns))
+    if model.second_round and settings.second_round:
+        rows = second_round_rows(probability, settings.second_round)
+        again = second_round_table(rows, union, frames, table, probability, votes.matrices)
+        probability[rows] = model.second_round(again.select(model.second_round.columns))
     (place1, place2), (f1, f2), (to_working1, to_working2) = prepared.locations, prepared.features, prepared.to_working
     row1, row2 = place1.first[union.location1], place2.first[union.location2]
     sfm, ratio = table.column("supporting_matrices"), table.column("distance_ratio")

@@ -44,7 +44,7 @@ def estimate_fundamental(
     mode : ``preprocess``: matches are ranked by `rank_matches` first. ``standard``: the standard matches X_L, the
         baseline; for `generalized-ransac` those of `generalized_matches`. ``cascade``: the standard matches first; the
         ranked ones only if `rule` does not keep that estimate. Features are found once for both.
-    preset : ``default`` or ``paper``.
+    preset : ``default``, ``fast``, ``thorough`` or ``paper``, see `rank_matches`.
     seed : >= 0; the same seed gives the same bytes.
     threshold_px : Inlier threshold, instead of the hand-over's. Like all thresholds it is meant at working size: an
         image larger than the preset's `max_image_size` (1024) is measured as if it had that size.
@@ -80,7 +80,7 @@ def estimate_fundamental(
     found = (features1, features2)
 
     def estimate(kind: str, sets: Sequence[MatchSet], seconds: Mapping[str, float]) -> FundamentalEstimate:
-        how = hand_over or load_hand_overs()[estimator][kind]
+        how = hand_over or load_hand_overs()[estimator][chosen.model if kind == chosen.name else kind]
         if threshold_px is not None:
             how = replace(how, threshold_px=threshold_px)
         sizes = sets[0].image_sizes or (_size_of(image1), _size_of(image2))

@@ -20,7 +20,7 @@ STUDY = Path("params.yaml")
 PHOTOGRAPHS = Path("benchmarks/real/params.yaml")
 
 Preset = Literal["paper", "default"]
-Input = Literal["standard", "snn", "generalized", "paper", "default"]
+Input = Literal["standard", "snn", "generalized", "paper-standard", "paper", "fast", "default"]
 
 Value = TypeVar("Value")
 

@@ -3,7 +3,7 @@ import pytest
 
 from epiprior.matching.standard import nearest_neighbours, standard_table
 from epiprior.presets import COHERENCE_COLUMNS, MATCH_COLUMNS, PAPER_TWO_KEYPOINT_COLUMNS
-from epiprior.ranking.probabilities import _best_rival, match_table, pair_columns, two_keypoint_scores, unite
+from epiprior.ranking.probabilities import best_rival, match_table, pair_columns, two_keypoint_scores, unite
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
 from synthetic import make_frames, make_putative, unit_rows
 
@@ -54,8 +54,8 @@ def test_best_rival_equals_naive():
     rng = np.random.default_rng(1)
     feature, score = rng.integers(0, 15, 60), np.round(rng.random(60), 1)
     expected = [max([score[j] for j in range(60) if j != i and feature[j] == feature[i]], default=0) for i in range(60)]
-    np.testing.assert_allclose(_best_rival(score, feature), expected)
-    assert _best_rival(np.empty(0), np.empty(0, np.int64)).shape == (0,)
+    np.testing.assert_allclose(best_rival(score, feature), expected)
+    assert best_rival(np.empty(0), np.empty(0, np.int64)).shape == (0,)
 
 
 def test_two_keypoint_scores_equal_naive():

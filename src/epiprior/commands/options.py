@@ -19,7 +19,7 @@ BAD_INPUT = 2
 
 Image1 = Annotated[Path, typer.Argument(metavar="A", help="First photograph.", show_default=False)]
 Image2 = Annotated[Path, typer.Argument(metavar="B", help="Second photograph.", show_default=False)]
-Preset = Annotated[str, typer.Option(help="'default' (the best measured) or 'paper' (as printed).")]
+Preset = Annotated[str, typer.Option(help="'fast', 'default', 'thorough', or 'paper' (as printed).")]
 Estimator = Annotated[str, typer.Option(help="See 'epiprior estimators'.")]
 Mode = Annotated[
     presets.Mode,

@@ -16,7 +16,7 @@ from epiprior.estimators.registry import names
 from epiprior.settings_file import find_settings_file, parse_settings, read_settings_file
 from epiprior.types import MatchSet
 
-INPUTS = ("standard", "snn", "generalized", "paper", "default")
+INPUTS = ("standard", "snn", "generalized", "paper-standard", "paper", "default")
 _TAKES_ORDER = frozenset({"usac", "magsac++", "gc-ransac", "prosac"})
 _TAKES_WEIGHTS = frozenset({"guided-mlesac", "beem", "blogs", "generalized-ransac", "epiprior"})
 
@@ -78,11 +78,12 @@ def default_hand_over(estimator: str, kind: str) -> HandOver:
     """Return the hand-over for an estimator and an input (of `INPUTS`) where none was chosen on validation scenes.
 
     Estimators that weigh matches get most of a ranking, those that sample in order fewer, those that take no prior the
-    fewest. Inputs: ``standard`` (X_L), ``snn``, ``generalized`` (all matches above a similarity), and the presets.
+    fewest. Inputs: ``standard`` (X_L), the same on features of the preset `paper`, ``snn``,
+    ``generalized`` (all matches above a similarity), and the names of models.
     """
     if kind not in INPUTS:
         raise SettingsError(f"input is {kind!r}, known: {', '.join(INPUTS)}")
-    if kind == "standard":
+    if kind in ("standard", "paper-standard"):
         return HandOver(max_distance_ratio=0.85)
     if kind in ("snn", "generalized"):
         return HandOver()

@@ -1,8 +1,9 @@
-"""Exported models: two classifiers as ONNX, and a manifest that says what they were trained on.
+"""Exported models: classifiers as ONNX, and a manifest that says what they were trained on.
 
 A model is a folder: ``two_keypoint.onnx`` gives the probability of 2keypoint matches (paper, section 4.4),
-``match.onnx`` that of matches (section 4.6), ``manifest.json`` describes both, ``README.md`` is the model
-card. Loading executes nothing of the folder; a folder that differs from its manifest is refused.
+``match.onnx`` that of matches (section 4.6), ``second_round.onnx``, where there is one, that of the most
+probable of these, judged again. ``manifest.json`` describes them, ``README.md`` is the model card. Loading executes
+nothing of the folder; a folder that differs from its manifest is refused.
 """
 
 import hashlib
@@ -19,7 +20,7 @@ from epiprior.errors import FeatureError, ModelError
 from epiprior.types import Float32Array, FloatArray
 
 SCHEMA_VERSION = 1
-TARGETS = ("two_keypoint", "match")
+TARGETS = ("two_keypoint", "match", "second_round")  # the last is optional
 CARD = "README.md"
 MANIFEST = "manifest.json"
 
@@ -80,12 +81,13 @@ class Classifier:
 
 @dataclass(frozen=True)
 class RankingModel:
-    """The two classifiers of a preset: of 2keypoint matches and of matches."""
+    """The classifiers of a preset: of 2keypoint matches, of matches, and of matches in a second round, if any."""
 
     name: str
     manifest: Mapping[str, Any]  # contents of manifest.json: preset, training data, metrics, library versions, hashes
     two_keypoint: Classifier
     match: Classifier
+    second_round: Classifier | None = None
 
     @property
     def two_keypoint_columns(self) -> tuple[str, ...]:
@@ -153,13 +155,14 @@ def load_model(name_or_path: str | Path) -> RankingModel:
     if version != SCHEMA_VERSION:
         raise ModelError(f"{path}: schema_version is {version!r}, this epiprior reads {SCHEMA_VERSION}")
     contents = {}
-    for file in (*(f"{target}.onnx" for target in TARGETS), CARD):
+    targets = [target for target in TARGETS if target != "second_round" or target in manifest]
+    for file in (*(f"{target}.onnx" for target in targets), CARD):
         expected = _entry(manifest, path, str, "files", file)
         contents[file] = _read(folder / file)
         found = hashlib.sha256(contents[file]).hexdigest()
         if found != expected:
             raise ModelError(f"{folder / file}: sha256 is {found}, {MANIFEST} says {expected}")
-    classifiers = (_classifier(path, manifest, target, contents[f"{target}.onnx"]) for target in TARGETS)
+    classifiers = (_classifier(path, manifest, target, contents[f"{target}.onnx"]) for target in targets)
     return RankingModel(_entry(manifest, path, str, "name"), manifest, *classifiers)
 
 

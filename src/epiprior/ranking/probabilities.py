@@ -48,7 +48,7 @@ def lookup(values: FloatArray, rows: IntArray, missing: float) -> FloatArray:
     return out
 
 
-def _best_rival(score: FloatArray, feature: IntArray) -> FloatArray:
+def best_rival(score: FloatArray, feature: IntArray) -> FloatArray:
     """Return for each match the highest score among the other matches of its feature; 0 without any."""
     order = np.lexsort((-score, feature))
     group = feature[order]
@@ -120,7 +120,7 @@ def match_table(
     votes = lookup(sfm.astype(np.float64), union.in_x, 0.0)
     share = lookup(weighted, union.in_x, 0.0)
     rivals = np.bincount(union.location1)[union.location1] + np.bincount(union.location2)[union.location2] - 2
-    rival = np.maximum(_best_rival(share, union.location1), _best_rival(share, union.location2))
+    rival = np.maximum(best_rival(share, union.location1), best_rival(share, union.location2))
     columns = [
         votes,
         union.ratios(table),

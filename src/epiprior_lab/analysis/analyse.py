@@ -41,9 +41,13 @@ def analyse_pair(
     Unless `complete`, for easy pairs, on which nearly everything succeeds: only the steps and X alone, the latter with
     all estimators.
     """
-    found = detect_pair(pair)
-    images, features = found.photographs, found.features
-    paper, default = (propose(images, features, find_preset(n), load_model(n)) for n in ("paper", "default"))
+    presets = [find_preset(name) for name in ("paper", "default")]
+    detected = [detect_pair(pair, preset.features) for preset in presets]
+    found = detected[1]
+    paper, default = (
+        propose(one.photographs, one.features, preset, load_model(preset.model))
+        for one, preset in zip(detected, presets, strict=True)
+    )
     whole = ranked_sets(default)
     pixel = float(np.sqrt(found.pixel_factors[0] * found.pixel_factors[1]))
     right = [label_matches(pair, m.x1, m.x2, m.scale1, m.scale2, settings=labels) for m in whole]
@@ -109,6 +113,7 @@ def _ablations(
     """Yield variant, ranking and sets of the preset `default`; without `counts` only X alone beside it."""
     settings = proposals.settings
     voters = {
+        "one round": (replace(settings, second_round=0), cast_votes),
         "frames of SIFT": (replace(settings, frame="feature"), cast_votes),
         "oriented matches": (settings, oriented_votes),
         **{f"K_2kp {count}": (replace(settings, two_keypoint_count=count), cast_votes) for count in counts},

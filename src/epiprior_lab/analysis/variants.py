@@ -69,6 +69,7 @@ def ranked_sets(
             found if standard else _x_alone(found),
             voter(found.frames, found.two_keypoints, probability, settings or proposals.settings),
             proposals.model,
+            settings or proposals.settings,
         )
         for found, probability in zip(proposals.candidates, proposals.probabilities, strict=True)
     )

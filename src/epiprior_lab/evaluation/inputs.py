@@ -3,7 +3,8 @@
 - ``standard``: X_L of the paper, nearest neighbours of plain SIFT by distance ratio; its baseline.
 - ``snn``: RootSIFT, mutual nearest neighbours, ratio below 0.85; the strongest simple pipeline of today.
 - ``generalized``: all matches above a similarity with low probabilities; what `generalized-ransac` gets for X_L.
-- ``paper``, ``default``: the ranked matches of the preset, one set per roll hypothesis.
+- ``paper``, ``fast``, ``default``, ``thorough``: the ranked matches of the preset, one set per roll hypothesis.
+- ``paper-standard``: X_L on the features of the preset `paper`; all other baselines are on those of `default`.
 - any other name: a peer, a ranker of others on the same features, made elsewhere. ``FOLDER/PEER/PAIR_ID.npz`` holds
   its matches, best first: ``x1, x2`` of shape (N, 2), pixels of the images as given; ``scale1, scale2,
   orientation1_deg, orientation2_deg`` of the features and ``feature1, feature2``, their indices; all of length N.
@@ -27,6 +28,7 @@ import numpy as np
 
 from epiprior.errors import SettingsError
 from epiprior.matching.baselines import generalized_matches, snn_matches, standard_matches
+from epiprior.presets import FeatureSettings, find_preset
 from epiprior.rank import rank_matches
 from epiprior.types import MatchSet
 from epiprior_lab.compute.tasks import Task, map_tasks
@@ -34,8 +36,8 @@ from epiprior_lab.features.detection import DetectedPair, detect_pair
 from epiprior_lab.pairsets import DatasetError, Pair
 
 WITHOUT = ("standard", "generalized")  # what an estimator gets without the preprocessing step
-BASELINES = ("standard", "snn", "generalized")
-PRESETS = ("paper", "default")
+BASELINES = ("standard", "snn", "generalized", "paper-standard")
+PRESETS = ("paper", "fast", "default", "thorough")
 INPUTS = BASELINES + PRESETS
 PREPROCESSED = "default"  # what a cascade falls back on
 
@@ -43,6 +45,7 @@ _MAKERS: Mapping[str, Callable[..., MatchSet]] = {
     "standard": standard_matches,
     "snn": snn_matches,
     "generalized": generalized_matches,
+    "paper-standard": standard_matches,
 }
 
 
@@ -67,16 +70,27 @@ def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | No
     unknown = [name for name in inputs if name not in INPUTS]
     if unknown:
         raise SettingsError(f"input is {unknown[0]!r}, known: {', '.join(INPUTS)}")
-    found = detected or detect_pair(pair)
-    (photo1, photo2), (features1, features2) = found.photographs, found.features
+    usual = detected or detect_pair(pair)
+    of_settings = {_detection(PREPROCESSED): usual}
     sets: dict[str, tuple[MatchSet, ...]] = {}
     for name in inputs:
+        settings = _detection(name)
+        if settings not in of_settings:
+            of_settings[settings] = detect_pair(pair, settings)
+        (photo1, photo2), (features1, features2) = of_settings[settings].photographs, of_settings[settings].features
         if name in _MAKERS:
             sets[name] = (_MAKERS[name](photo1, photo2, features1=features1, features2=features2),)
         else:
             ranked = rank_matches(photo1, photo2, preset=name, features1=features1, features2=features2)
             sets[name] = ranked.sets
-    return PairMatches(sets=sets, pixel_factors=found.pixel_factors, features=(len(features1), len(features2)))
+    features1, features2 = usual.features
+    return PairMatches(sets=sets, pixel_factors=usual.pixel_factors, features=(len(features1), len(features2)))
+
+
+def _detection(name: str) -> FeatureSettings:
+    """Return how the features of an input are found; how their descriptors are normalised is another matter."""
+    preset = "paper" if name == "paper-standard" else name if name in PRESETS else PREPROCESSED
+    return replace(find_preset(preset).features, root=True, centred=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +161,7 @@ def match_folder(store: Path | None) -> Iterator[Path]:
 
 def model_files(models: Path, inputs: Sequence[str]) -> tuple[Path, ...]:
     """Return the files of the models that the inputs need, sorted: they decide the matches."""
-    found = (models / name for name in inputs if name in PRESETS)
+    found = {models / find_preset(name).model for name in inputs if name in PRESETS}
     return tuple(sorted(path for folder in found for path in folder.iterdir() if path.is_file()))
 
 

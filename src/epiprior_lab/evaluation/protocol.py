@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from epiprior.estimators.handover import HandOver, load_hand_overs
+from epiprior.presets import PRESETS, find_preset
 from epiprior_lab.evaluation.runs import EstimatorInputs, HandOvers, MeasureSettings
 from epiprior_lab.evaluation.truth import TruthSettings, truth_settings
 from epiprior_lab.pairsets import Pair, read_pair_set
@@ -47,13 +48,18 @@ def make_protocol(params: Params) -> Protocol:
         inputs=evaluate.inputs_and_peers,
         seeds=evaluate.seeds,
         hand_overs={
-            estimator: {name: HandOver() if name in whole else chosen[estimator][name] for name in names}
+            estimator: {name: HandOver() if name in whole else chosen[estimator][_chosen(name)] for name in names}
             for estimator, names in evaluate.inputs_and_peers.items()
         },
         truth=truth_settings(params.truth),
         measures=MeasureSettings(seed=params.measures.seed, distance_points=params.measures.distance_points),
         peers=PEERS,
     )
+
+
+def _chosen(name: str) -> str:
+    """Return the input whose hand-over an input gets: a preset that uses another's model uses its hand-over too."""
+    return find_preset(name).model if name in PRESETS else name
 
 
 def pairs_of(evaluate: EvaluateParams, group: str) -> tuple[Pair, ...]:

@@ -12,6 +12,7 @@ _FAMILY_WORDS = {
 _TARGET_WORDS = {
     "two_keypoint": "a match of 2keypoints (pairs of close features) consists of right matches",
     "match": "a match of two features is right",
+    "second_round": "it is, judged again: one of the most probable, with what the first probabilities tell",
 }
 _METRIC_WORDS = {
     "precision_top_100": "precision of the top 100 per pair",
@@ -27,7 +28,7 @@ _MEASURES = ("mean", "deviation", "calibrated", "ungrouped")
 _CARD = """\
 # epiprior model `{name}`
 
-Two classifiers that give putative matches of two photographs their probability of being right. epiprior
+Classifiers that give putative matches of two photographs their probability of being right. epiprior
 loads them for the preset `{preset}`. Anything that runs ONNX can: each takes `rows`, float32 (N, C), and
 gives `probability`, float32 (N,), not calibrated yet. Calibrated is `sigmoid(a * logit(probability) + b)`.
 
@@ -39,16 +40,15 @@ gives `probability`, float32 (N,), not calibrated yet. Calibrated is `sigmoid(a 
 
 Pairs of {data[scenes]} rendered scenes, {data[rankings]} with their roll hypotheses; labels from depth and
 visibility. Of every pair a random sample of rows:
-{data[two_keypoint_rows]} matches of 2keypoints, {data[two_keypoint_right]} of them right, and
-{data[match_rows]} matches, {data[match_right]} of them right. The sha256 of all rows and labels is
+{samples}. The sha256 of all rows and labels is
 `{data[sha256]}`.
 
 ## Measures
 
 Cross-validation grouped by scene: no scene is in training and test at once. The second classifier was trained
-and tested on votes of a first one that never saw the scene. A pair counts once per roll hypothesis. `mean` is
-over all rows or pairs, `deviation` over the folds, `calibrated` after Platt scaling fitted on other folds.
-`ungrouped` deals rows out to folds one by one, as the paper does: what it gains over `mean` is leakage.
+and tested on votes of a first one that never saw the scene, so was any third. A pair counts once per roll
+hypothesis. `mean` is over all rows or pairs, `deviation` over the folds, `calibrated` after Platt scaling fitted
+on other folds. `ungrouped` deals rows out to folds one by one, as the paper does: what it gains over `mean` is leakage.
 
 {tables}
 
@@ -72,13 +72,16 @@ over all rows or pairs, `deviation` over the folds, `calibrated` after Platt sca
 
 def model_card(manifest: Mapping[str, Any]) -> str:
     """Return the card, Markdown, of a manifest, which may still lack the hashes of the files."""
+    targets = [target for target in _TARGET_WORDS if target in manifest]
+    data = manifest["training_data"]
     return _CARD.format(
+        samples="; ".join(f"`{t}` {data[t + '_rows']}, {data[t + '_right']} of them right" for t in targets),
         name=manifest["name"],
         preset=manifest["preset"],
-        data=manifest["training_data"],
-        files="\n".join(_file_row(target, manifest[target]) for target in _TARGET_WORDS),
-        tables="\n\n".join(_table(target, manifest[target]["metrics"]) for target in _TARGET_WORDS),
-        columns="\n".join(f"- `{target}`: {', '.join(manifest[target]['features'])}" for target in _TARGET_WORDS),
+        data=data,
+        files="\n".join(_file_row(target, manifest[target]) for target in targets),
+        tables="\n\n".join(_table(target, manifest[target]["metrics"]) for target in targets),
+        columns="\n".join(f"- `{target}`: {', '.join(manifest[target]['features'])}" for target in targets),
         versions=", ".join(f"{library} {number}" for library, number in manifest["library_versions"].items()),
     )
 

@@ -37,11 +37,12 @@ def export_model(training: Path, folder: Path, preset: str) -> None:
         "training_data": summary["training_data"],
         "library_versions": {library: version(library) for library in _LIBRARIES},
     }
-    for target in TARGETS:
+    targets = [target for target in TARGETS if target in summary]
+    for target in targets:
         item = summary[target]
         manifest[target] = {"family": item["family"], "features": item["columns"], "metrics": item["metrics"]}
         manifest[target]["calibration"] = {"a": item["a"], "b": item["b"]}
-    contents = {f"{target}.onnx": (training / f"{target}.onnx").read_bytes() for target in TARGETS}
+    contents = {f"{target}.onnx": (training / f"{target}.onnx").read_bytes() for target in targets}
     contents[CARD] = model_card(manifest).encode()
     manifest["files"] = {file: hashlib.sha256(content).hexdigest() for file, content in contents.items()}
     contents[MANIFEST] = (json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
@@ -50,7 +51,8 @@ def export_model(training: Path, folder: Path, preset: str) -> None:
         (folder / file).write_bytes(content)
     model = load_model(folder)
     with np.load(training / "parity.npz", allow_pickle=False) as stored:
-        for target, classifier in zip(TARGETS, (model.two_keypoint, model.match), strict=True):
+        for target in targets:
+            classifier = getattr(model, target)
             exported = classifier.uncalibrated(stored[f"{target}_rows"])
             difference = np.max(np.abs(exported - stored[f"{target}_probability"]), initial=0.0)
             if not difference <= PARITY:

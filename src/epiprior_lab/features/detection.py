@@ -1,10 +1,10 @@
-"""Features of a pair, found once: presets and baselines detect the same, and differ in what follows."""
+"""Features of a pair: found once for all presets and baselines that detect the same."""
 
 from dataclasses import dataclass
 
 from epiprior.features.detect import detect_features
 from epiprior.features.images import Photograph, load_photograph
-from epiprior.presets import FeatureSettings
+from epiprior.presets import DEFAULT, FeatureSettings
 from epiprior.types import Features
 from epiprior_lab.pairsets import Pair
 
@@ -22,9 +22,8 @@ class DetectedPair:
         return self.photographs[0].factor, self.photographs[1].factor
 
 
-def detect_pair(pair: Pair) -> DetectedPair:
+def detect_pair(pair: Pair, settings: FeatureSettings = DEFAULT.features) -> DetectedPair:
     """Read both images of a pair and find their features."""
-    settings = FeatureSettings()
     photo1, photo2 = (load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2))
     features = detect_features(photo1, settings), detect_features(photo2, settings)
     return DetectedPair(photographs=(photo1, photo2), features=features)

@@ -1,6 +1,6 @@
 """Training rows: what the library computes of a pair before any classifier, labelled by the ground truth."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -9,13 +9,14 @@ import numpy as np
 
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.matching.standard import StandardTable
-from epiprior.presets import find_preset
+from epiprior.presets import SECOND_ROUND_COLUMNS, find_preset
 from epiprior.ranking import hypothesis
 from epiprior.ranking.frames import MatchFrames
 from epiprior.ranking.probabilities import Union
+from epiprior.ranking.second_round import second_round_rows, second_round_table
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
 from epiprior.types import BoolArray, Float32Array, FloatArray
-from epiprior_lab.features.detection import DetectedPair, detect_pair
+from epiprior_lab.features.detection import detect_pair
 from epiprior_lab.labels.ground_truth import LabelSettings, label_matches
 from epiprior_lab.pairsets import Pair, npz_bytes
 
@@ -48,12 +49,12 @@ class PairRows:
 
 def extract_rows(pair: Pair, presets: Sequence[str], labels: LabelSettings | None = None) -> dict[str, list[PairRows]]:
     """Run the library up to the first classifier and label the matches, for every preset and roll hypothesis."""
-    found = detect_pair(pair)
-    return {preset: _preset_rows(pair, found, preset, labels) for preset in presets}
+    return {preset: _preset_rows(pair, preset, labels) for preset in presets}
 
 
-def _preset_rows(pair: Pair, found: DetectedPair, preset: str, settings: LabelSettings | None) -> list[PairRows]:
+def _preset_rows(pair: Pair, preset: str, settings: LabelSettings | None) -> list[PairRows]:
     own = find_preset(preset)
+    found = detect_pair(pair, own.features)
     features1, features2 = found.features
     prepared = prepare_pair(*found.photographs, own, features1=features1, features2=features2)
     candidates = [hypothesis.find_candidates(prepared, roll, own) for roll in roll_hypotheses(prepared, own)]
@@ -85,6 +86,23 @@ def _labels(
         scales.append(scale * float(np.sqrt(inverse[0, 0] * inverse[1, 1])))
     right = label_matches(pair, *points, *scales, settings=settings)
     return np.split(right, np.cumsum([len(each) for each in frames])[:-1])
+
+
+def second_round_sample(
+    rows: PairRows, probability: FloatArray, first_round: Callable[[Float32Array], FloatArray]
+) -> tuple[Float32Array, BoolArray]:
+    """Let the matrices vote and a classifier judge the matches; return `SECOND_ROUND_COLUMNS` and labels of the best.
+
+    `probability` is as for `match_rows`; `first_round`, like it, never saw this scene.
+    """
+    settings = find_preset(rows.preset)
+    votes = hypothesis.cast_votes(rows.united.frames_of_x(), rows.two_keypoints, probability, settings)
+    table = hypothesis.describe_matches(rows.united, rows.table, rows.two_keypoints, votes)
+    first = first_round(table.select(settings.match_columns))
+    best = second_round_rows(first, settings.second_round)
+    united = rows.united
+    again = second_round_table(best, united.union, united.frames, table, first, votes.matrices)
+    return again.select(SECOND_ROUND_COLUMNS), rows.united_labels[best]
 
 
 def match_rows(rows: PairRows, probability: FloatArray) -> tuple[Float32Array, BoolArray]:

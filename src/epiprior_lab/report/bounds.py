@@ -11,7 +11,7 @@ import yaml
 
 from epiprior_lab.evaluation.records import CASCADE
 from epiprior_lab.report.results import ROUNDING, ReportError, Results
-from epiprior_lab.report.text import ALL, BASELINES, OURS, Row, group_title, input_title, interval, percent, signed
+from epiprior_lab.report.text import ALL, OURS, Row, baseline_of, group_title, input_title, interval, percent, signed
 
 EVERY = "every"
 BOUNDS = Path("benchmarks/bounds.yaml")
@@ -87,7 +87,8 @@ def _contribution(bound: Bound, results: Results, tables: Mapping[str, pd.DataFr
     if ours.empty:
         raise ReportError(f"no results of {bound.estimator} on {bound.group} below {bound.threshold_px:g} px")
     worst = ours.sort_values("gain", kind="stable").iloc[0]
-    base = at[(at["estimator"] == worst["estimator"]) & at["input"].isin(BASELINES)]["successes"].iloc[0]
+    own = at[at["estimator"] == worst["estimator"]].set_index("input")["successes"]
+    base = own[baseline_of(bound.input, list(own.index))]
     kept = int((ours["gain"] >= bound.at_least - ROUNDING).sum())
     row = {"estimator": worst["estimator"], **_found_in(worst, "gain"), "met": kept == len(ours)}
     row["possible"] = worst["pairs"] / base - 1 if base else np.inf

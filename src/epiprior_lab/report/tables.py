@@ -13,7 +13,7 @@ from epiprior_lab.evaluation.records import right_column
 from epiprior_lab.evaluation.statistics import Interval, success_curve
 from epiprior_lab.measures import CalibrationBins
 from epiprior_lab.report.results import ROUNDING, ReportError, Results
-from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, order_of
+from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, baseline_of, order_of
 
 SNN = "snn"
 DEPTHS = (10, 100, 500)
@@ -39,7 +39,7 @@ def success_table(results: Results, thresholds_px: Sequence[float]) -> pd.DataFr
         for group, member in results.groups():
             for estimator in results.estimators:
                 names = results.inputs(estimator)
-                base, key = names[0], (group, estimator, str(threshold))
+                key = group, estimator, str(threshold)
                 rates = {name: results.errors.of(estimator, name, threshold) for name in names}
                 shares = {name: results.per_scene(rates[name], member) for name in names}
                 for name in names:
@@ -49,6 +49,7 @@ def success_table(results: Results, thresholds_px: Sequence[float]) -> pd.DataFr
                     row |= {"successes": mean[0], "successes_sd": deviation[0]}
                     row["successes_ok"] = float(results.accepted.of(estimator, name, threshold)[member].sum())
                     row["scene_share"] = float(shares[name].mean())
+                    base = baseline_of(name, names)
                     if name != base:
                         gain = results.compare(rates[base], rates[name], member, *key).contribution
                         scene_gain = results.compare_scenes(shares[base], shares[name], *key).difference

@@ -19,7 +19,9 @@ INPUT_TITLES: Mapping[str, str] = {
     "generalized": "all similar",
     "snn": "snn",
     **PEER_TITLES,
+    "paper-standard": "X_L of the printed method",
     "paper": "ours, as printed",
+    "fast": "ours, fast",
     "default": "ours",
 }
 RANKING_TITLES: Mapping[str, str] = {
@@ -41,6 +43,12 @@ METRIC_TITLES: Mapping[str, str] = {
 TARGET_TITLES: Mapping[str, str] = {"two_keypoint": "2keypoint matches", "match": "matches"}
 
 Row = Mapping[Any, Any]
+
+
+def baseline_of(name: str, names: Sequence[str]) -> str:
+    """Return which of an estimator's inputs `name` is compared with: the one without preprocessing, same features."""
+    printed = "paper-standard"
+    return printed if name == "paper" and printed in names else next(n for n in names if n in BASELINES)
 
 
 def input_title(name: str) -> str:

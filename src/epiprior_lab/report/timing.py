@@ -14,7 +14,7 @@ from epiprior_lab.report.page import Page, Section, Table
 from epiprior_lab.report.prose import picture
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.tables import write_table
-from epiprior_lab.report.text import ALL, BASELINES, input_title, number, order_of, share
+from epiprior_lab.report.text import ALL, BASELINES, baseline_of, input_title, number, order_of, share
 
 
 def seconds_table(timings: pd.DataFrame, threshold_px: float) -> pd.DataFrame:
@@ -41,7 +41,7 @@ def overhead_table(timings: pd.DataFrame, results: Results, threshold_px: float)
     baseline = timings[timings["input"].isin(BASELINES)][[*keys, "seconds_total"]]
     table = timings.merge(baseline, on=keys, suffixes=("", "_without"), validate="many_to_one")
     rows = []
-    for name in (name for name in order_of(timings["input"]) if name in ("paper", "default", CASCADE)):
+    for name in (name for name in order_of(timings["input"]) if name in ("paper", "fast", "default", CASCADE)):
         for group in (*order_of(timings["group"]), ALL):
             for estimator in (*order_of(timings["estimator"]), ALL):
                 chosen = table["input"] == name
@@ -55,7 +55,7 @@ def overhead_table(timings: pd.DataFrame, results: Results, threshold_px: float)
                 row |= {"overhead": own.mean() / without.mean(), "median_overhead": (own / without).median()}
                 row |= {"preprocessed": part["preprocessed"].mean(), "contribution": np.nan}
                 if estimator != ALL and name != CASCADE:
-                    inputs = (results.inputs(estimator)[0], name)
+                    inputs = (baseline_of(name, results.inputs(estimator)), name)
                     a, b = (results.errors.of(estimator, i, threshold_px)[results.masks[group]].mean() for i in inputs)
                     row["contribution"] = float(contribution(a, b))
                 rows.append(row)

@@ -39,6 +39,7 @@ _VARIED = {
     "standard": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
     "snn": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
     "generalized": ("top_k", "threshold_px", "one_to_one", "refine", "collect"),
+    "paper-standard": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
     "paper": ("top_k", "threshold_px", "one_to_one"),
     "default": ("top_k", "threshold_px", "refine", "collect", "one_to_one"),
 }

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from epiprior.estimators.handover import save_hand_overs
+from epiprior.estimators.handover import INPUTS, save_hand_overs
 from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.inputs import model_files
 from epiprior_lab.evaluation.protocol import MODELS, validation_pairs
@@ -14,9 +14,13 @@ from epiprior_lab.selection.hand_over_search import chosen_hand_overs, search_ha
 def main() -> None:
     """Write ``models/hand_over.json`` and ``data/hand_over/search.csv``."""
     params = load_study()
+    inputs = {
+        estimator: tuple(name for name in names if name in INPUTS)
+        for estimator, names in params.evaluate.inputs_by_estimator.items()
+    }
     best, trials = search_hand_overs(
         [pair for pairs in validation_pairs(params.scenes.families).values() for pair in pairs],
-        inputs=params.evaluate.inputs_by_estimator,
+        inputs=inputs,
         params=params.hand_over,
         files=model_files(MODELS, params.evaluate.all_inputs),
         workers=default_workers(),

@@ -1,7 +1,7 @@
-"""Comparison of the families for both classifiers of every preset, and the link between the two classifiers.
+"""Comparison of the families for every classifier of every preset, and the links between the classifiers.
 
-The second classifier learns from the votes of the first. As in later use, the votes of a pair come from a first
-classifier that was not trained on the pair's scene.
+The second classifier learns from the votes of the first, the third from the probabilities of the second. As in later
+use, the votes and probabilities of a pair come from classifiers that were not trained on the pair's scene.
 """
 
 import pickle
@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from epiprior.errors import SettingsError
-from epiprior.presets import find_preset
+from epiprior.presets import SECOND_ROUND_COLUMNS, find_preset
 from epiprior.types import Float32Array, FloatArray, IntArray
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.compute.tasks import Task, map_tasks
-from epiprior_lab.features.rows import match_rows, read_rows
+from epiprior_lab.features.rows import match_rows, read_rows, second_round_sample
 from epiprior_lab.params import TrainParams
 from epiprior_lab.training.calibration import Platt, fit_platt
 from epiprior_lab.training.cross_validation import CrossValidation, cross_validate, folds_by_row, folds_by_scene
@@ -62,8 +62,8 @@ class Comparison:
 
 def train(
     folders: Mapping[str, Path], params: TrainParams, *, workers: int, store: Path
-) -> dict[str, tuple[Comparison, Comparison]]:
-    """Train both classifiers of every preset; return the comparisons for ``two_keypoint`` and ``match`` by preset.
+) -> dict[str, tuple[Comparison, ...]]:
+    """Train the classifiers of every preset; return the comparisons by preset, in the order of `TARGETS`.
 
     `folders` holds, by preset, the rows of the training pairs as the stage `features` writes them; `workers` and
     `store` are as for `map_tasks`. SettingsError if a folder has no rows, or a family is unknown.
@@ -83,13 +83,23 @@ def train(
     }
     first = _compare(data, params, workers, store)
     tasks = [task for preset in folders for task in _vote_tasks(files[preset], first[preset], params)]
-    samples = iter(map_tasks(match_sample, tasks, workers=workers, description="votes", store=store))
+    samples = iter(map_tasks(voted_sample, tasks, workers=workers, description="votes", store=store))
     data = {
         preset: TargetRows.stack("match", find_preset(preset).match_columns, [next(samples) for _ in files[preset]])
         for preset in folders
     }
     second = _compare(data, params, workers, store)
-    return {preset: (first[preset], second[preset]) for preset in folders}
+    again = [preset for preset in folders if find_preset(preset).second_round]
+    tasks = [task for preset in again for task in _vote_tasks(files[preset], first[preset], params, second[preset])]
+    samples = iter(map_tasks(voted_sample, tasks, workers=workers, description="second round", store=store))
+    data = {
+        preset: TargetRows.stack("second_round", SECOND_ROUND_COLUMNS, [next(samples) for _ in files[preset]])
+        for preset in again
+    }
+    third = _compare(data, params, workers, store) if again else {}
+    return {
+        preset: (first[preset], second[preset], *((third[preset],) if preset in third else ())) for preset in folders
+    }
 
 
 def two_keypoint_sample(file: Path, preset: str, params: TrainParams) -> Sample:
@@ -105,26 +115,58 @@ def two_keypoint_sample(file: Path, preset: str, params: TrainParams) -> Sample:
     )
 
 
-def _vote_tasks(files: Sequence[Path], first: Comparison, params: TrainParams) -> list[Task]:
-    """Return a task per pair, with the first classifier of the fold that holds out its scene."""
-    found = first.grouped[first.exported]
-    fold_of_scene = dict(zip(first.data.scene.tolist(), found.fold.tolist(), strict=True))
-    shared = {"platt": first.platt, "preset": first.preset, "most": params.max_rows_per_pair}
+@dataclass(frozen=True)
+class HeldOut:
+    """A classifier, pickled, that was not trained on a scene, and its calibration."""
+
+    classifier: bytes
+    platt: Platt
+
+    def __call__(self, rows: Float32Array) -> FloatArray:
+        """Return calibrated probabilities."""
+        return self.platt(pickle.loads(self.classifier).probability(rows))
+
+
+def _held_out(comparison: Comparison) -> dict[str, HeldOut]:
+    """Return by scene the exported family's classifier of the fold that holds it out."""
+    found = comparison.grouped[comparison.exported]
+    fold_of_scene = dict(zip(comparison.data.scene.tolist(), found.fold.tolist(), strict=True))
+    return {
+        # A scene without a single row is in no fold: no classifier saw it.
+        scene: HeldOut(found.classifiers[fold_of_scene.get(scene, 0)], comparison.platt)
+        for scene in comparison.data.scenes.tolist()
+    }
+
+
+def _vote_tasks(
+    files: Sequence[Path], first: Comparison, params: TrainParams, second: Comparison | None = None
+) -> list[Task]:
+    """Return a task per pair, with the classifiers that hold out its scene: the first, or the first and the second."""
+    held = [_held_out(comparison) for comparison in (first, second) if comparison]
     tasks = []
     for file, scene in zip(files, first.data.scenes.tolist(), strict=True):
-        # A scene without a single 2keypoint match is in no fold: no classifier saw it.
-        classifier = found.classifiers[fold_of_scene.get(scene, 0)]
-        seed = child_seed(params.seed, "sample", "match", file.stem)
-        payload = {"file": file, "classifier": classifier, "seed": seed, **shared}
-        tasks.append(Task(name=f"{first.preset}-{file.stem}", payload=payload, files=(file,)))
+        target = "second_round" if second else "match"
+        payload = {
+            "file": file,
+            "classifiers": tuple(of_scene[scene] for of_scene in held),
+            "most": params.max_rows_per_pair,
+            "seed": child_seed(params.seed, "sample", target, file.stem),
+        }
+        tasks.append(Task(name=f"{first.preset}-{target}-{file.stem}", payload=payload, files=(file,)))
     return tasks
 
 
-def match_sample(*, file: Path, classifier: bytes, platt: Platt, preset: str, most: int, seed: int) -> Sample:
-    """Let a first classifier vote on one pair under one roll hypothesis, and draw matches."""
+def voted_sample(*, file: Path, classifiers: tuple[HeldOut, ...], most: int, seed: int) -> Sample:
+    """Let the first classifier vote on one pair under one roll hypothesis, and draw matches.
+
+    With a second classifier these are the most probable matches, described for the second round.
+    """
     table = read_rows(file)
-    descriptors = table.two_keypoints.select(find_preset(preset).two_keypoint_columns)
-    rows, labels = match_rows(table, platt(pickle.loads(classifier).probability(descriptors)))
+    probability = classifiers[0](table.two_keypoints.select(find_preset(table.preset).two_keypoint_columns))
+    if len(classifiers) > 1:
+        rows, labels = second_round_sample(table, probability, classifiers[1])
+    else:
+        rows, labels = match_rows(table, probability)
     return Sample.draw(scene=table.scene, pair=file.stem, rows=rows, labels=labels, most=most, seed=seed)
 
 
