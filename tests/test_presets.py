@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from epiprior.errors import SettingsError
-from epiprior.presets import DEFAULT, PAPER, find_preset
+from epiprior.presets import DEFAULT, PRESETS, find_preset
 
 
 @pytest.mark.parametrize(
@@ -25,10 +25,14 @@ def test_bad_settings_are_named(settings, name, value):
 
 
 def test_an_unknown_preset_is_named():
-    with pytest.raises(SettingsError, match="'fancy', known: paper, default"):
+    with pytest.raises(SettingsError, match="'fancy', known: paper, fast, default, thorough"):
         find_preset("fancy")
 
 
-def test_presets_find_the_same_features():
-    """A cascade shares them between the standard matches of the paper and the preset that ranks."""
-    assert replace(DEFAULT.features, root=PAPER.features.root, centred=PAPER.features.centred) == PAPER.features
+def test_presets_of_one_model_differ_in_their_features_alone():
+    """The model was trained on the columns of the preset that has its name."""
+    for preset in PRESETS.values():
+        assert preset.model in PRESETS
+        if preset.model != preset.name:
+            trained = PRESETS[preset.model]
+            assert replace(preset, name=trained.name, features=trained.features) == trained

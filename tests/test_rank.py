@@ -122,7 +122,7 @@ def test_features_that_do_not_fit_are_named(model):
 
 
 def test_a_model_of_another_preset_is_named(model):
-    with pytest.raises(ModelError, match=r"model default: two_keypoint asks for .*preset paper .*: scale_change_diff"):
+    with pytest.raises(ModelError, match=r"model default asks for .*preset paper .*: scale_change_diff"):
         epiprior.rank_matches(*relief_pair(240, 180), preset="paper", model=model)
 
 

@@ -78,7 +78,7 @@ def test_unknown_and_missing_keys_are_named_with_their_section(file, section, lo
         ("evaluate.groups", ["facades-easy", "facades-hard", "open", "closed"], ": 'closed' is not among facades-easy"),
         ("evaluate.pairs", "data/scenes", " = 'data/scenes': expected {group} in it"),
         ("evaluate.inputs", ["raw"], r"\.0 = 'raw': Input should be 'standard', 'snn'"),
-        ("evaluate.inputs", ["snn"], " of magsac.* are snn: expected standard or generalized"),
+        ("evaluate.inputs", ["snn"], " of gc-ransac are snn: expected standard or generalized"),
         ("evaluate.other_inputs", {"usax": ["standard"]}, ": 'usax' is not among usac"),
         ("evaluate.other_inputs.usac", ["lowe"], r"\.0 = 'lowe': Input should be 'standard'"),
         ("evaluate.other_inputs.usac", ["snn", "snn"], " = .*repeated"),
@@ -129,10 +129,10 @@ def test_a_section_made_by_hand_is_checked_too():
 def test_what_follows_from_parameters():
     study, photographs = (load_params(file).evaluate for file in FILES.values())
     assert set(study.estimators) == set(names())
-    assert study.inputs_by_estimator["magsac++"] == ("standard", "snn", "default")
-    assert study.inputs_by_estimator["beem"] == ("standard", "snn", "paper", "default")
+    assert study.inputs_by_estimator["gc-ransac"] == ("standard", "snn", "default")
+    assert study.inputs_by_estimator["beem"] == ("standard", "snn", "paper-standard", "paper", "default")
     assert study.inputs_by_estimator["generalized-ransac"] == ("generalized", "snn", "default")
-    assert set(study.all_inputs) == set(INPUTS)
+    assert set(study.all_inputs) == {*INPUTS, "fast"}
     assert study.inputs_and_peers == study.inputs_by_estimator
     assert photographs.inputs_and_peers["usac"] == ("standard", "snn", "default", "adalam", "gms")
     assert "gms" not in photographs.all_inputs

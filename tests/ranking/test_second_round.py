@@ -1,7 +1,7 @@
-import naive
 import numpy as np
 import pytest
 
+import naive
 from epiprior.presets import MATCH_COLUMNS, SECOND_ROUND_COLUMNS
 from epiprior.ranking import second_round
 from epiprior.ranking.probabilities import MatchTable, Union

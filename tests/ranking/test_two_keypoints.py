@@ -70,7 +70,8 @@ def test_a_pair_and_its_swap_count_once_and_ties_are_broken():
     probability = np.round(np.random.default_rng(0).random(len(pairs)), 1)
     chosen = best_two_keypoint_matches(pairs, probability, 30)
     assert len({frozenset((int(main[k]), int(other[k]))) for k in chosen}) == len(chosen) == 30
-    key = [(-probability[k], pairs.descriptors[k, :2].sum(), k) for k in chosen]
+    agreement = pairs.select(("distance_ratio", "angle_difference")) @ np.array([-1.0, 1.0 / np.pi])
+    key = [(-probability[k], agreement[k], k) for k in chosen]
     assert key == sorted(key)
     assert probability[chosen].min() >= np.sort(probability)[::-1][59]
 

@@ -1,6 +1,6 @@
 """The matches of a pair, made in every way, and the files that hold them."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +8,7 @@ import pytest
 
 import epiprior.matching.pair
 from epiprior.errors import SettingsError
-from epiprior.features.detect import FeatureSettings, detect_features
+from epiprior.features.detect import detect_features
 from epiprior.presets import find_preset
 from epiprior.rank import rank_matches
 from epiprior_lab.compute.source_graph import source_files
@@ -61,10 +61,13 @@ def test_features_are_detected_once_for_all_inputs(pairs, tiny_model, monkeypatc
                 np.testing.assert_array_equal(getattr(a, column.name), getattr(b, column.name))
 
 
-def test_presets_detect_the_same_features():
-    """Descriptors are normalised differently, but detection, which `match_pair` shares, is one."""
-    settings = [find_preset(name).features for name in inputs.PRESETS]
-    assert {replace(s, root=True, centred=True) for s in settings} == {FeatureSettings()}
+def test_the_printed_method_and_its_baseline_are_on_features_of_their_own(pairs, tiny_model):
+    found = inputs.match_pair(pairs[0], ("standard", "paper-standard", "fast", "default"))
+    least = find_preset("paper").features.min_scale
+    assert found.sets["paper-standard"][0].scale1.min() >= least > found.sets["standard"][0].scale1.min()
+    alone = rank_matches(pairs[0].image1, pairs[0].image2, preset="fast").sets
+    assert [len(each) for each in found.sets["fast"]] == [len(each) for each in alone]
+    assert found.features == inputs.match_pair(pairs[0], ("default",)).features
 
 
 def test_matches_of_a_peer_are_kept_beside_our_own(pairs, relief, tmp_path):

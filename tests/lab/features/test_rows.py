@@ -39,7 +39,7 @@ def test_presets_together_give_what_each_gives_alone(pair, monkeypatch):
     monkeypatch.setattr(detection, "detect_features", counted)
     monkeypatch.setattr(epiprior.matching.pair, "detect_features", None)
     together = rows.extract_rows(pair, PRESETS)
-    assert len(detected) == 2
+    assert len(detected) == 4
     assert {name: [rows.rows_to_bytes(each) for each in tables] for name, tables in together.items()} == alone
     assert [len(together[name]) for name in PRESETS] == [2, 1]  # `default` has one roll hypothesis where they agree
 
