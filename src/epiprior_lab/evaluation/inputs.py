@@ -20,7 +20,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +56,8 @@ class PairMatches:
     """
 
     sets: dict[str, tuple[MatchSet, ...]]
-    features: dict[str, tuple[int, int]]
     pixel_factors: tuple[float, float]
+    features: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | None = None) -> PairMatches:
@@ -91,8 +91,8 @@ class MatchFiles:
 
     def only(self, inputs: Sequence[str]) -> MatchFiles:
         """Return the files of some inputs."""
-        parts = ({name: part[name] for name in inputs} for part in (self.paths, self.features))
-        return replace(self, **dict(zip(("paths", "features"), parts, strict=True)))
+        features = {name: self.features[name] for name in inputs}
+        return replace(self, paths={name: self.paths[name] for name in inputs}, features=features)
 
     def read(self) -> PairMatches:
         """Return the matches."""

@@ -85,6 +85,14 @@ def _columns(path: Path, features1: Features, features2: Features) -> Columns:
     return columns
 
 
+def interpreter(environment: Path = ENVIRONMENT) -> Path:
+    """Return the interpreter of the peers' environment; SettingsError if there is none."""
+    python = environment / "bin" / "python"
+    if not python.is_file():
+        raise SettingsError(f"no environment {environment}: run `make peers`, or set `peers: null` to do without them")
+    return python
+
+
 def write_peer_matches(
     pairs: Sequence[Pair],
     peers: Sequence[str],
@@ -106,9 +114,7 @@ def write_peer_matches(
     out.mkdir(parents=True, exist_ok=True)
     if not peers:
         return
-    python = environment / "bin" / "python"
-    if not python.is_file():
-        raise SettingsError(f"no environment {environment}: run `make peers`, or set `peers: null` to do without them")
+    python = interpreter(environment)
     how: dict[str, Any] = {"workers": workers, "store": store, "description": f"peers of {out.name}"}
     rankers = tuple(name for name in peers if name not in LEARNED)
     if rankers:
