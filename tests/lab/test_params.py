@@ -1,8 +1,8 @@
 """Parameter files: both are read whole, and what is wrong in them is named."""
 
-import dataclasses
 import functools
 import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -36,7 +36,7 @@ def load(tmp_path):
 def test_both_files_are_read_whole(file):
     params = load_params(FILES[file])
     assert type(params) is {"study": StudyParams, "photographs": Params}[file]
-    assert json.loads(json.dumps(dataclasses.asdict(params))) == document_of(file)
+    assert json.loads(json.dumps(asdict(params))) == document_of(file)
 
 
 @pytest.mark.parametrize(("file", "section"), [(file, section) for file in FILES for section in document_of(file)])
@@ -123,7 +123,7 @@ def test_settings_that_do_not_agree_are_named_and_all_errors_at_once(load):
 def test_a_section_made_by_hand_is_checked_too():
     params = load_study(FILES["study"])
     with pytest.raises(ValidationError, match="tolerance"):
-        dataclasses.replace(params.cascade, tolerance=1.5)
+        replace(params.cascade, tolerance=1.5)
 
 
 def test_what_follows_from_parameters():
@@ -134,7 +134,13 @@ def test_what_follows_from_parameters():
     assert study.inputs_by_estimator["generalized-ransac"] == ("generalized", "snn", "default")
     assert set(study.all_inputs) == {*INPUTS, "fast"}
     assert study.inputs_and_peers == study.inputs_by_estimator
-    assert photographs.inputs_and_peers["usac"] == ("standard", "snn", "default", "adalam", "gms")
+    every = ("standard", "snn", "default", "adalam", "gms")
+    assert photographs.inputs_and_peers["usac"] == (*every, "aliked", "disk", "xfeat")
+    assert photographs.inputs_and_peers["epiprior"] == every
+    assert replace(photographs, peers=None).inputs_and_peers == photographs.inputs_by_estimator
+    for wrong in ({"loftr": ("usac",)}, {"aliked": ("usac2",)}):
+        with pytest.raises(ValidationError, match="peer_estimators"):
+            replace(photographs, peer_estimators=wrong)
     assert "gms" not in photographs.all_inputs
     assert study.pairs_of("open") == Path("data/scenes/test/open")
     assert study.control_points_of("open") == Path("data/ground_truth/test/open/control_points")

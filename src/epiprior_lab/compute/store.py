@@ -36,15 +36,17 @@ class ContentKeys:
     """Keys of calls of one function: source, installed versions, payload, and files that it reads.
 
     Its source is its module and all of these packages that this imports; SettingsError if the module has no source
-    file. `installation` is what another process must run to get the same results.
+    file. Without `versions`, those of this installation do not count: the function runs another. `installation` is what
+    another process must run to get the same results.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], *, versions: bool = True) -> None:
         module = sys.modules[function.__module__]
         if module.__file__ is None:
             raise SettingsError(f"function {function.__qualname__}: module {module.__name__} has no source file")
         sources = source_files(Path(module.__file__).resolve())
-        self._common = hashlib.sha256(_digest(*_names(function)) + _environment() + _source_digest(sources))
+        environment = _environment() if versions else b""
+        self._common = hashlib.sha256(_digest(*_names(function)) + environment + _source_digest(sources))
         names = tuple(sorted(file.relative_to(SOURCE).as_posix() for file in sources if file.is_relative_to(SOURCE)))
         self.installation = Installation(sources=names, digest=_installation_digest(names))
         self._files: dict[Path, bytes] = {}

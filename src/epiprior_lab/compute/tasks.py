@@ -72,6 +72,7 @@ def map_tasks(
     description: str,
     store: Path | None = None,
     scheduler: str | None = None,
+    versions: bool = True,
 ) -> list[Any]:
     """Call ``function(**task.payload)`` for every task; return the results in the order of the tasks.
 
@@ -83,7 +84,8 @@ def map_tasks(
 
     Only this process writes to the folder `store`, made if absent. It keeps one result per function and task name, used
     again only if its key is the same: function, source of its module and of all that this imports, versions of the
-    installed distributions, payload, contents of the files. So a run that was interrupted goes on.
+    installed distributions (without `versions` these do not count: the function runs another installation), payload,
+    contents of the files. So a run that was interrupted goes on.
 
     TaskError if a task fails: no more are started, those that were handed out end and are kept, and the error names the
     first one that failed, in the order of the tasks. Also if a file of a task cannot be read, or the workers are lost.
@@ -94,7 +96,7 @@ def map_tasks(
     repeated = [name for name, count in Counter(task.name for task in tasks).items() if count > 1]
     if repeated:
         raise SettingsError(f"{description}: repeated task name {min(repeated)!r}")
-    keys = ContentKeys(function)
+    keys = ContentKeys(function, versions=versions)
     results: list[Any] = [None] * len(tasks)
     jobs = []
     for index, task in enumerate(tasks):

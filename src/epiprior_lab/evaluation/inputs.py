@@ -5,9 +5,10 @@
 - ``generalized``: all matches above a similarity with low probabilities; what `generalized-ransac` gets for X_L.
 - ``paper``, ``fast``, ``default``, ``thorough``: the ranked matches of the preset, one set per roll hypothesis.
 - ``paper-standard``: X_L on the features of the preset `paper`; all other baselines are on those of `default`.
-- any other name: a peer, a ranker of others on the same features, made elsewhere. ``FOLDER/PEER/PAIR_ID.npz`` holds
-  its matches, best first: ``x1, x2`` of shape (N, 2), pixels of the images as given; ``scale1, scale2,
-  orientation1_deg, orientation2_deg`` of the features and ``feature1, feature2``, their indices; all of length N.
+- any other name: a peer, matches of others, made elsewhere. ``FOLDER/PEER/PAIR_ID.npz`` holds them, best first: ``x1,
+  x2`` of shape (N, 2), pixels of the images as given, and ``feature1, feature2``, indices of the features; where these
+  have them, ``scale1, scale2, orientation1_deg, orientation2_deg``; all of length N. Features of the peer's own are
+  counted in ``features`` (2,); else they are ours.
 
 Matches are kept in files, one per pair and input. This module imports no estimator, so that a changed estimator leaves
 stored matches as they are.
@@ -20,7 +21,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,13 +54,13 @@ _MAKERS: Mapping[str, Callable[..., MatchSet]] = {
 class PairMatches:
     """The matches of one pair.
 
-    `sets` per input: presets have one set per roll hypothesis, all others a single one. `pixel_factors` are given
-    pixels per working pixel of both images, `features` the numbers of their features.
+    `sets` per input: presets have one set per roll hypothesis, all others a single one. `features` are how many both
+    images had, per input. `pixel_factors` are given pixels per working pixel of both images.
     """
 
     sets: dict[str, tuple[MatchSet, ...]]
     pixel_factors: tuple[float, float]
-    features: tuple[int, int] = (0, 0)
+    features: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | None = None) -> PairMatches:
@@ -73,18 +74,19 @@ def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | No
     usual = detected or detect_pair(pair)
     of_settings = {_detection(PREPROCESSED): usual}
     sets: dict[str, tuple[MatchSet, ...]] = {}
+    features: dict[str, tuple[int, int]] = {}
     for name in inputs:
         settings = _detection(name)
         if settings not in of_settings:
             of_settings[settings] = detect_pair(pair, settings)
         (photo1, photo2), (features1, features2) = of_settings[settings].photographs, of_settings[settings].features
+        features[name] = len(features1), len(features2)
         if name in _MAKERS:
             sets[name] = (_MAKERS[name](photo1, photo2, features1=features1, features2=features2),)
         else:
             ranked = rank_matches(photo1, photo2, preset=name, features1=features1, features2=features2)
             sets[name] = ranked.sets
-    features1, features2 = usual.features
-    return PairMatches(sets=sets, pixel_factors=usual.pixel_factors, features=(len(features1), len(features2)))
+    return PairMatches(sets=sets, features=features, pixel_factors=usual.pixel_factors)
 
 
 def _detection(name: str) -> FeatureSettings:
@@ -98,17 +100,18 @@ class MatchFiles:
     """Where the matches of one pair are kept: `paths` holds a file per input, the rest is as in `PairMatches`."""
 
     paths: dict[str, Path]
+    features: dict[str, tuple[int, int]]
     pixel_factors: tuple[float, float]
-    features: tuple[int, int] = (0, 0)
 
     def only(self, inputs: Sequence[str]) -> MatchFiles:
         """Return the files of some inputs."""
-        return replace(self, paths={name: self.paths[name] for name in inputs})
+        features = {name: self.features[name] for name in inputs}
+        return replace(self, paths={name: self.paths[name] for name in inputs}, features=features)
 
     def read(self) -> PairMatches:
         """Return the matches."""
         sets = {name: pickle.loads(path.read_bytes()) for name, path in self.paths.items()}
-        return PairMatches(sets=sets, pixel_factors=self.pixel_factors, features=self.features)
+        return PairMatches(sets=sets, features=self.features, pixel_factors=self.pixel_factors)
 
 
 def store_matches(
@@ -137,15 +140,16 @@ def store_matches(
     matched = map_tasks(match_pair, tasks, workers=workers, description=description, store=folder)
     kept = []
     for pair, matches in zip(pairs, matched, strict=True):
-        sets = dict(matches.sets)
+        sets, features = dict(matches.sets), dict(matches.features)
         sizes = next(iter(sets.values()))[0].image_sizes
         for name in others:
-            path = Path(peers or ".") / name / f"{pair.pair_id}.npz"
-            sets[name] = (replace(read_peer_matches(path), image_sizes=sizes),)
+            found, counts = read_peer_matches(Path(peers or ".") / name / f"{pair.pair_id}.npz")
+            sets[name] = (replace(found, image_sizes=sizes),)
+            features[name] = counts or next(iter(matches.features.values()))
         paths = {name: folder / f"{pair.pair_id}.{name}.matches" for name in inputs}
         for name, path in paths.items():
             path.write_bytes(pickle.dumps(sets[name], protocol=5))
-        kept.append(MatchFiles(paths=paths, pixel_factors=matches.pixel_factors, features=matches.features))
+        kept.append(MatchFiles(paths=paths, features=features, pixel_factors=matches.pixel_factors))
     return kept
 
 
@@ -165,29 +169,42 @@ def model_files(models: Path, inputs: Sequence[str]) -> tuple[Path, ...]:
     return tuple(sorted(path for folder in found for path in folder.iterdir() if path.is_file()))
 
 
-_COLUMNS = ("x1", "x2", "scale1", "scale2", "orientation1_deg", "orientation2_deg")
-_INDICES = ("feature1", "feature2")
+_FRAMES = ("scale1", "scale2", "orientation1_deg", "orientation2_deg")
 
 
-def read_peer_matches(path: Path) -> MatchSet:
-    """Return the matches of one file of a peer: without probabilities, in the order of the file.
+def read_peer_matches(path: Path) -> tuple[MatchSet, tuple[int, int] | None]:
+    """Return the matches of one file of a peer, as `peer_matches`, and how many features both images had, if it says.
 
     DatasetError if it cannot be read, lacks an array, or its arrays do not belong together; the message names it.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
-            values: dict[str, Any] = {name: np.asarray(archive[name], np.float64) for name in _COLUMNS}
-            values |= {name: np.asarray(archive[name], np.int64) for name in _INDICES}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            arrays = {name: archive[name] for name in archive.files}
+            matches = peer_matches(arrays)
+            counts = arrays.get("features")
+            return matches, None if counts is None else (int(counts[0]), int(counts[1]))
+    except (OSError, ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
         raise DatasetError(f"{path}: no matches of a peer: {error}") from error
+
+
+def peer_matches(arrays: Mapping[str, Any]) -> MatchSet:
+    """Return matches of the arrays of a peer's file: without probabilities, in their order.
+
+    Without scales and orientations these are NaN. KeyError if an array is missing; ValueError if the shapes do not
+    belong together, or a value is not finite; the message names the array.
+    """
+    values: dict[str, Any] = {name: np.asarray(arrays[name], np.float64) for name in ("x1", "x2")}
+    values |= {name: np.asarray(arrays[name], np.int64) for name in ("feature1", "feature2")}
+    if any(name in arrays for name in _FRAMES):
+        values |= {name: np.asarray(arrays[name], np.float64) for name in _FRAMES}
     n = len(values["x1"])
-    wrong = [name for name, value in values.items() if value.shape != ((n, 2) if name in ("x1", "x2") else (n,))]
-    if wrong:
-        raise DatasetError(f"{path}: {wrong[0]} has shape {values[wrong[0]].shape}, expected as many as x1")
-    if not all(np.isfinite(value).all() for value in values.values()):
-        raise DatasetError(f"{path}: a value is not finite")
+    for name, value in values.items():
+        if value.shape != ((n, 2) if name in ("x1", "x2") else (n,)):
+            raise ValueError(f"{name} has shape {value.shape}, expected as many as x1")
+        if not np.isfinite(value).all():
+            raise ValueError(f"a value of {name} is not finite")
     return MatchSet(
-        **values,
+        **dict.fromkeys(_FRAMES, np.full(n, np.nan)) | values,
         probability=np.full(n, np.nan),
         supporting_matrices=np.zeros(n, np.int64),
         distance_ratio=np.linspace(0, 1, n, endpoint=False),  # keeps the order where an estimator asks for a ratio

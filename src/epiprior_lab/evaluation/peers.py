@@ -1,10 +1,14 @@
-"""Let rankers of others match the pairs, on our RootSIFT features, in an environment of their own."""
+"""Matches of others, made in an environment of their own: rankers on our RootSIFT features, and learned matchers.
+
+The two are tasks apart: what learned matchers found is kept when the library changes.
+"""
 
 import json
 import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +20,16 @@ from epiprior.features.locations import unique_locations
 from epiprior.presets import FeatureSettings
 from epiprior.types import Features, FloatArray, IntArray
 from epiprior_lab.compute.tasks import Task, map_tasks
+from epiprior_lab.evaluation import learned
+from epiprior_lab.evaluation.learned import LEARNED, match_learned
 from epiprior_lab.pairsets import Pair
 
 ENVIRONMENT = Path(".venv/peers")
 SCRIPT = Path("benchmarks/real/peers/match.py")
 REQUIREMENTS = Path("benchmarks/real/peers/requirements.txt")
+WEIGHTS = Path("benchmarks/real/peers/weights.txt")
 _PAIRS_PER_TASK = 12  # the start of torch takes as long as a few pairs
+_LEARNED_PAIRS_PER_TASK = 24  # features of an image are found once per task
 
 Columns = dict[str, FloatArray | IntArray]
 
@@ -77,6 +85,14 @@ def _columns(path: Path, features1: Features, features2: Features) -> Columns:
     return columns
 
 
+def interpreter(environment: Path = ENVIRONMENT) -> Path:
+    """Return the interpreter of the peers' environment; SettingsError if there is none."""
+    python = environment / "bin" / "python"
+    if not python.is_file():
+        raise SettingsError(f"no environment {environment}: run `make peers`, or set `peers: null` to do without them")
+    return python
+
+
 def write_peer_matches(
     pairs: Sequence[Pair],
     peers: Sequence[str],
@@ -84,33 +100,62 @@ def write_peer_matches(
     *,
     environment: Path = ENVIRONMENT,
     script: Path = SCRIPT,
-    files: Sequence[Path] = (REQUIREMENTS,),
+    learned_script: Path = learned.SCRIPT,
+    files: Sequence[Path] = (REQUIREMENTS, WEIGHTS),
     workers: int = 1,
     store: Path | None = None,
 ) -> None:
     """Write the matches of every peer and pair as ``out/PEER/PAIR_ID.npz``; a killed run continues.
 
-    Without peers the folder stays empty. `script` runs in `environment`, where they are installed (SettingsError if it
-    is absent); `files` are what else decides the matches.
+    Without peers the folder stays empty. Scripts run in `environment`, where the peers are installed (SettingsError if
+    it is absent); `files` are what else decides the matches. Those of `LEARNED` find features of their own, the others
+    get ours.
     """
     out.mkdir(parents=True, exist_ok=True)
     if not peers:
         return
-    python = environment / "bin" / "python"
-    if not python.is_file():
-        raise SettingsError(f"no environment {environment}: run `make peers`, or set `peers: null` to do without them")
-    parts = [tuple(pairs[k : k + _PAIRS_PER_TASK]) for k in range(0, len(pairs), _PAIRS_PER_TASK)]
-    tasks = [
-        Task(
-            name=f"{part[0].pair_id} and {len(part) - 1} more",
-            payload={"pairs": part, "peers": tuple(peers), "python": python, "script": script},
-            files=(*(file for pair in part for file in pair.files), script, *files),
-        )
-        for part in parts
-    ]
-    matched = map_tasks(match_by_peers, tasks, workers=workers, description=f"peers of {out.name}", store=store)
-    for part, found in zip(parts, matched, strict=True):
-        for pair, of_pair in zip(part, found, strict=True):
-            for peer, columns in zip(peers, of_pair, strict=True):
-                (out / peer).mkdir(exist_ok=True)
-                np.savez(out / peer / f"{pair.pair_id}.npz", allow_pickle=False, **columns)
+    python = interpreter(environment)
+    how: dict[str, Any] = {"workers": workers, "store": store, "description": f"peers of {out.name}"}
+    rankers = tuple(name for name in peers if name not in LEARNED)
+    if rankers:
+        tasks = [
+            Task(
+                name=_name(part),
+                payload={"pairs": part, "peers": rankers, "python": python, "script": script},
+                files=(*(file for pair in part for file in pair.files), script, *files),
+            )
+            for part in _parts(pairs, _PAIRS_PER_TASK)
+        ]
+        ranked = [found for part in map_tasks(match_by_peers, tasks, **how) for found in part]
+        for k, peer in enumerate(rankers):
+            _write(out / peer, pairs, [found[k] for found in ranked])
+    for peer in (name for name in peers if name in LEARNED):
+        tasks = [
+            Task(
+                name=f"{peer}: {_name(part)}",
+                payload={
+                    "images": tuple((pair.image1, pair.image2) for pair in part),
+                    "peer": peer,
+                    "python": python,
+                    "script": learned_script,
+                },
+                files=(*(file for pair in part for file in (pair.image1, pair.image2)), learned_script, *files),
+            )
+            for part in _parts(pairs, _LEARNED_PAIRS_PER_TASK)
+        ]
+        matched = map_tasks(match_learned, tasks, versions=False, **how)
+        _write(out / peer, pairs, [found for part in matched for found in part])
+
+
+def _parts(pairs: Sequence[Pair], size: int) -> list[tuple[Pair, ...]]:
+    return [tuple(pairs[k : k + size]) for k in range(0, len(pairs), size)]
+
+
+def _name(part: Sequence[Pair]) -> str:
+    return f"{part[0].pair_id} and {len(part) - 1} more"
+
+
+def _write(folder: Path, pairs: Sequence[Pair], found: Sequence[Columns]) -> None:
+    folder.mkdir(exist_ok=True)
+    for pair, columns in zip(pairs, found, strict=True):
+        np.savez(folder / f"{pair.pair_id}.npz", allow_pickle=False, **columns)

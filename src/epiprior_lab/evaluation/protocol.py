@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from epiprior.errors import SettingsError
 from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.presets import PRESETS, find_preset
+from epiprior_lab.evaluation.learned import LEARNED
 from epiprior_lab.evaluation.runs import EstimatorInputs, HandOvers, MeasureSettings
 from epiprior_lab.evaluation.truth import TruthSettings, truth_settings
 from epiprior_lab.pairsets import Pair, read_pair_set
@@ -13,6 +15,8 @@ from epiprior_lab.params import EvaluateParams, Params
 
 MODELS = Path("models")
 PEERS = Path("data/peers")
+# What these draw or weigh by, features of a learned matcher lack: scale and orientation, or a ratio of distances.
+_NEED_FEATURES = frozenset({"guided-mlesac", "beem", "blogs", "generalized-ransac", "epiprior"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +45,14 @@ def make_protocol(params: Params) -> Protocol:
     """Return the protocol of a parameter file.
 
     Hand-overs were chosen on validation scenes; inputs in `whole` and those of peers are handed over as they are.
+    SettingsError if an estimator is to get learned matches that it cannot use.
     """
     evaluate, chosen = params.evaluate, load_hand_overs(MODELS / "hand_over.json")
     whole = {*(evaluate.whole or ()), *(evaluate.peers or ())}
+    for estimator, names in evaluate.inputs_and_peers.items():
+        unusable = [name for name in names if name in LEARNED]
+        if estimator in _NEED_FEATURES and unusable:
+            raise SettingsError(f"{estimator} cannot use the matches of {unusable[0]}: see evaluate.peer_estimators")
     return Protocol(
         inputs=evaluate.inputs_and_peers,
         seeds=evaluate.seeds,

@@ -64,7 +64,8 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
     records: list[Record] = []
     for name in sets if known.labels else ():
         ranked = best_hypothesis(sets[name])
-        right = label_matches(pair, ranked.x1, ranked.x2, ranked.scale1, ranked.scale2, settings=truth.labels)
+        scales = (np.nan_to_num(scale) for scale in (ranked.scale1, ranked.scale2))  # a peer's may be unknown
+        right = label_matches(pair, ranked.x1, ranked.x2, *scales, settings=truth.labels)
         if name == "standard":
             share = float(right.mean()) if len(right) else 0.0
         orders = ranking_orders(ranked) if name in PRESETS else {"final": np.arange(len(ranked))}
@@ -75,6 +76,8 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
                     **key,
                     input=name,
                     ranking=ranking,
+                    features1=matches.features[name][0],
+                    features2=matches.features[name][1],
                     matches=len(hits),
                     right=int(np.count_nonzero(hits)),
                     average_precision=average_precision(hits),
@@ -88,10 +91,11 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
         ranked = sets["default"][0]
         standard = (ranked.distance_ratio < 1) | (ranked.similarity_weight > 0)
         roll = float(expected_roll(orientation_differences(ranked.orientation1_deg, ranked.orientation2_deg)[standard]))
+    features = next(iter(matches.features.values()))
     about = PairRecord(
         **key,
-        features1=matches.features[0],
-        features2=matches.features[1],
+        features1=features[0],
+        features2=features[1],
         labels=known.labels,
         points=known.points,
         right_share=share,

@@ -81,11 +81,14 @@ class RunRecord(Record):
 class RankingRecord(Record):
     """One ranking of one input of a labelled pair: the one-to-one list of its best roll hypothesis.
 
-    `matches` is its length, `right_at` the right ones among the first ``RANKS[i]``: columns ``right_<rank>``.
+    `features1` and `features2` are the input's features in both images. `matches` is the length of the list, `right_at`
+    the right ones among the first ``RANKS[i]``: columns ``right_<rank>``.
     """
 
     input: str
     ranking: str
+    features1: int
+    features2: int
     matches: int
     right: int
     average_precision: float

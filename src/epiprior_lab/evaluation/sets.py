@@ -1,10 +1,12 @@
-"""Where the photographs are: links to pair sets that lie elsewhere, and what is missing."""
+"""Where the photographs are: links to pair sets that lie elsewhere, what is made of them, and what is missing."""
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from epiprior.errors import SettingsError
+from epiprior_lab.pairsets import read_pair_set
+from epiprior_lab.pairsets.changed import CHANGES, chosen_pairs, write_changed_set
 
 FOLDER = Path("data/real")
 
@@ -34,3 +36,18 @@ def link_sets(names: Sequence[str], source: Path | None, folder: Path = FOLDER) 
             "pair sets (docs/photographs.md)"
         )
     return [folder / name for name in names]
+
+
+def make_changed_sets(
+    names: Sequence[str], sources: Sequence[str], *, without: Sequence[str] = (), folder: Path = FOLDER
+) -> list[Path]:
+    """Write those of `names` that are of `pairsets.changed.CHANGES` into a folder, and return their paths.
+
+    They are made anew of the sets `sources` that lie in `folder`; pairs whose ids are in `without` are passed over.
+    """
+    wanted = [name for name in names if name in CHANGES]
+    if wanted:
+        pairs = chosen_pairs({name: read_pair_set(folder / name).pairs for name in sources}, without=without)
+        for name in wanted:
+            write_changed_set(folder / name, pairs, name)
+    return [folder / name for name in wanted]

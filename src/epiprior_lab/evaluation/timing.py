@@ -4,12 +4,24 @@ One process, one pair at a time (after the paper's figure of time overhead); no 
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+from epiprior.features.images import load_photograph
 from epiprior.types import FundamentalEstimate, Status
 from epiprior.verification.cascade import CascadeRule
-from epiprior_lab.evaluation.inputs import INPUTS, PREPROCESSED, PRESETS, WITHOUT, match_pair
+from epiprior_lab.evaluation.inputs import (
+    INPUTS,
+    PREPROCESSED,
+    PRESETS,
+    WITHOUT,
+    PairMatches,
+    match_pair,
+    peer_matches,
+)
+from epiprior_lab.evaluation.learned import SCRIPT, time_learned
 from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.records import CASCADE, TimingRecord
 from epiprior_lab.evaluation.runs import error_px, estimates
@@ -30,7 +42,6 @@ def time_pair(
 
     Images are read anew for each input, since that is what a user pays. Inputs of peers are left out.
     """
-    truth, key = pair_truth(pair, protocol.truth), {"group": group, "pair_id": pair.pair_id, "scene": pair.scene}
     found: dict[tuple[str, int, str], tuple[TimingRecord, FundamentalEstimate]] = {}
     for name in (name for name in protocol.all_inputs if name in INPUTS):
         start = time.perf_counter()
@@ -38,29 +49,76 @@ def time_pair(
         middle = time.perf_counter()
         matches = match_pair(pair, (name,), detected=detected)
         features, matching = middle - start, time.perf_counter() - middle
-        for estimator in (e for e, names in protocol.inputs.items() if name in names):
-            how = protocol.hand_overs[estimator]
-            for _, seed, estimate in estimates(matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
-                running = sum(estimate.seconds.values())
-                record = TimingRecord(
-                    **key,
-                    estimator=estimator,
-                    input=name,
-                    seed=seed,
-                    seconds_features=features,
-                    seconds_matching=matching,
-                    seconds_estimator=running,
-                    seconds_total=features + matching + running,
-                    preprocessed=name in PRESETS,
-                    error_px=error_px(estimate, truth),
-                )
-                found[estimator, seed, name] = record, estimate
+        how: dict[str, Any] = {"group": group, "seeds": seeds, "features": features, "matching": matching}
+        for record, estimate in _time_estimators(pair, protocol, matches, **how):
+            found[record.estimator, record.seed, name] = record, estimate
     records = [record for record, _ in found.values()]
     for (estimator, seed, name), first in found.items():
         second = found.get((estimator, seed, PREPROCESSED))
         if name in WITHOUT and second is not None:
             records.append(_cascade(first, second, rule))
     return records
+
+
+def time_learned_pairs(
+    pairs: Sequence[tuple[str, Pair]],
+    peer: str,
+    protocol: Protocol,
+    *,
+    seeds: Sequence[int],
+    python: Path,
+    threads: int,
+    script: Path = SCRIPT,
+) -> list[TimingRecord]:
+    """Time a learned matcher on pairs, each with its group, and the estimators on what it finds.
+
+    It runs in the interpreter `python` with so many `threads`, one process for all pairs; seconds are measured in it.
+    """
+    images = [(pair.image1, pair.image2) for _, pair in pairs]
+    matched, seconds = time_learned(images=images, peer=peer, python=python, script=script, threads=threads)
+    records = []
+    for (group, pair), columns, (features, matching) in zip(pairs, matched, seconds, strict=True):
+        photographs = [load_photograph(path) for path in (pair.image1, pair.image2)]
+        found = replace(peer_matches(columns), image_sizes=(photographs[0].size, photographs[1].size))
+        counts = (int(columns["features"][0]), int(columns["features"][1]))
+        factors = photographs[0].factor, photographs[1].factor
+        matches = PairMatches(sets={peer: (found,)}, features={peer: counts}, pixel_factors=factors)
+        how: dict[str, Any] = {"group": group, "seeds": seeds, "features": features, "matching": matching}
+        records += [record for record, _ in _time_estimators(pair, protocol, matches, **how)]
+    return records
+
+
+def _time_estimators(
+    pair: Pair,
+    protocol: Protocol,
+    matches: PairMatches,
+    *,
+    group: str,
+    seeds: Sequence[int],
+    features: float,
+    matching: float,
+) -> Iterator[tuple[TimingRecord, FundamentalEstimate]]:
+    """Run every estimator that gets the one input of `matches`; seconds before it are given."""
+    (name,), truth = matches.sets, pair_truth(pair, protocol.truth)
+    for estimator in (e for e, names in protocol.inputs.items() if name in names):
+        how = protocol.hand_overs[estimator]
+        for _, seed, estimate in estimates(matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
+            running = sum(estimate.seconds.values())
+            record = TimingRecord(
+                group=group,
+                pair_id=pair.pair_id,
+                scene=pair.scene,
+                estimator=estimator,
+                input=name,
+                seed=seed,
+                seconds_features=features,
+                seconds_matching=matching,
+                seconds_estimator=running,
+                seconds_total=features + matching + running,
+                preprocessed=name in PRESETS,
+                error_px=error_px(estimate, truth),
+            )
+            yield record, estimate
 
 
 def _cascade(

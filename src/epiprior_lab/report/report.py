@@ -53,6 +53,7 @@ def make_tables(results: Results, params: ReportParams, extras: Extras) -> _Tabl
         "rankings": tables.ranking_table(results),
         "calibration": tables.calibration_table(results),
         "statuses": tables.status_table(results, success_px),
+        "changed": tables.changed_table(results, thresholds),
         "sets": tables.set_table(results, extras.known_sets),
         "estimators": tables.estimator_table(results),
         "limits": tables.limits_table(results, champion, success_px),

@@ -10,6 +10,7 @@ import pandas as pd
 
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.pairsets import KnownSet
+from epiprior_lab.pairsets.changed import EVERY
 from epiprior_lab.params import ReportParams
 from epiprior_lab.report import text
 from epiprior_lab.report.bounds import Bound, bound_rows
@@ -88,7 +89,8 @@ def all_sections(material: Material) -> list[Section]:
         "Rankings": _rankings,
         "Calibration": _calibration,
         "Cascade": _cascade,
-        "Time": _plain("time", "overhead", "estimators"),
+        "Turned and shrunk photographs": _changed,
+        "Time": _plain("time", "decision", "overhead", "estimators"),
         "Pairs": _pairs,
         "How it was measured": _method,
         "Hand-over": _hand_over,
@@ -101,7 +103,7 @@ def all_sections(material: Material) -> list[Section]:
         "Bounds": _bounds,
     }
     needs: dict[_Maker, str] = {_duels: "duels", _cascade: CASCADE, _hand_over: "hand_over"}
-    needs |= {_classifiers: "classifiers", _limits: "limits", _bounds: "bounds"}
+    needs |= {_classifiers: "classifiers", _limits: "limits", _bounds: "bounds", _changed: "changed"}
     return [
         Section(title=title, blocks=[block for block in make(material) if block])
         for title, make in makers.items()
@@ -110,11 +112,16 @@ def all_sections(material: Material) -> list[Section]:
 
 
 def summary_table(
-    successes: pd.DataFrame, cascade: pd.DataFrame | None, groups: Sequence[str], px: Sequence[float]
+    successes: pd.DataFrame,
+    cascade: pd.DataFrame | None,
+    groups: Sequence[str],
+    px: Sequence[float],
+    features: Mapping[str, float] | None = None,
 ) -> Table:
     """Return the small table: per input shares of pairs that succeed, a column per threshold `px` and group.
 
-    Every input has the estimator that serves it best over all pairs below the first threshold.
+    Every input has the estimator that serves it best over all pairs below the first threshold. `features` are their
+    numbers per image, by input; without them there is no such column.
     """
     columns = ["threshold_px", "group", "estimator", "pairs", "input", "successes"]
     table = successes[columns]
@@ -130,10 +137,13 @@ def summary_table(
         of_input = whole[whole["input"] == name].sort_values("successes", ascending=False, kind="stable")
         best = str(of_input["estimator"].iloc[0])
         own = table[(table["input"] == name) & (table["estimator"] == best)].set_index(["group", "threshold_px"])
-        who.append(["cascade of X_L and ours" if name == CASCADE else input_title(name), best])
+        count = number((features or {}).get(OURS if name == CASCADE else name, np.nan), 0)
+        title = "cascade of X_L and ours" if name == CASCADE else input_title(name)
+        who.append([title, best, *([count] if features else [])])
         values.append([100 * own["successes"][g, t] / sizes[g] for t in px for g in groups])
     texts = zip(*(text.best_bold(column) for column in zip(*values, strict=True)), strict=True)
-    head = ["matches", "estimator", *(f"{group_title(g, int(sizes[g]))}, {t:g} px" for t in px for g in groups)]
+    head = ["matches", "estimator", *(["features"] if features else [])]
+    head += [f"{group_title(g, int(sizes[g]))}, {t:g} px" for t in px for g in groups]
     return Table(head=head, rows=[[*names, *cells] for names, cells in zip(who, texts, strict=True)], texts=2)
 
 
@@ -145,7 +155,10 @@ def _plain(name: str, *pictures: str) -> _Maker:
 def _summary(m: Material) -> Iterator[Block]:
     px = list(dict.fromkeys((m.params.success_px, m.params.strict_px)))
     yield say("summary")
-    yield summary_table(m.tables["successes"], m.tables.get(CASCADE), (ALL, *m.results.hard), px)
+    ranked = m.tables.get("rankings")
+    counts = {} if ranked is None else ranked[ranked["group"] == ALL].groupby("input")["features"].first().to_dict()
+    features = {str(name): float(count) for name, count in counts.items()}
+    yield summary_table(m.tables["successes"], m.tables.get(CASCADE), (ALL, *m.results.hard), px, features)
     yield m.picture("successes", seeds=m.results.tables.runs["seed"].nunique())
 
 
@@ -182,11 +195,15 @@ def _compact(at: pd.DataFrame, m: Material) -> Table:
     by_scene = [group for group in groups if group in (*m.results.hard, ALL)]
     rows = []
     for estimator in order_of(at["estimator"]):
-        names = [name for name in m.results.inputs(estimator) if name != "paper"]
-        cells = [" / ".join(text.best_bold(records[estimator, g, n]["successes"] for n in names)) for g in groups]
+
+        def side_by_side(group: str, column: str, digits: int, of: str = estimator) -> str:
+            found = (records.get((of, group, name), {}) for name in _inputs(m, of))
+            values = (row.get(column, np.nan) * (1 if column == "successes" else 100) for row in found)
+            return " / ".join(cell or "–" for cell in text.best_bold(values, digits))
+
+        cells = [side_by_side(group, "successes", 1) for group in groups]
         cells.append(interval(records.get((estimator, ALL, OURS), {}), "gain"))
-        shares = ((100 * records[estimator, g, n]["scene_share"] for n in names) for g in by_scene)
-        rows.append([estimator, *cells, *(" / ".join(text.best_bold(values, 0)) for values in shares)])
+        rows.append([estimator, *cells, *(side_by_side(group, "scene_share", 0) for group in by_scene)])
     pairs = at.drop_duplicates("group").set_index("group")["pairs"]
     head = [f"{_names(m)}, below {m.params.success_px:g} px", *(group_title(g, int(pairs[g])) for g in groups)]
     return Table(head=[*head, "ours over X_L", *(f"{g}, % per scene" for g in by_scene)], rows=rows)
@@ -195,6 +212,28 @@ def _compact(at: pd.DataFrame, m: Material) -> Table:
 def _names(m: Material) -> str:
     """Return the inputs side by side, as their numbers stand in one cell."""
     return " / ".join(input_title(n) for n in m.results.inputs_of_all if n not in ("generalized", "paper"))
+
+
+def _inputs(m: Material, estimator: str) -> list[str]:
+    """Return the inputs of `_names`, with what this estimator gets without preprocessing; it may lack some of them."""
+    without = m.results.inputs(estimator)[0]
+    shown = [name for name in m.results.inputs_of_all if name not in ("generalized", "paper")]
+    return [without if name in text.BASELINES else name for name in shown]
+
+
+def _changed(m: Material) -> Iterator[Block]:
+    table = m.tables["changed"]
+    yield say("changed", every=EVERY)
+    for threshold, at in table.groupby("threshold_px", sort=False):
+        records = at.set_index(["input", "group"]).to_dict("index")
+        groups, rows = order_of(at["group"]), []
+        for name in order_of(at["input"]):
+            found = [records[name, group] for group in groups]
+            rows.append([input_title(name), found[0]["estimator"], number(found[0]["unchanged"], 1)])
+            rows[-1] += [number(row["successes"], 1) for row in found]
+        head = ["matches", "estimator", f"as they are ({int(at['pairs'].iloc[0])})", *groups]
+        yield f"Pairs below {threshold:g} px:"
+        yield Table(head=head, rows=rows, texts=2)
 
 
 def _success_block(at: pd.DataFrame, title: str) -> Table:
@@ -250,9 +289,13 @@ def _poses(m: Material) -> Iterator[Block]:
     records = at.set_index(["estimator", "group", "input"]).to_dict("index")
     rows = []
     for estimator in order_of(at["estimator"]):
-        names = [name for name in m.results.inputs(estimator) if name != "paper"]
-        areas = ([100 * records[estimator, group, name][f"auc_{t:g}"] for name in names] for group, t in places)
-        rows.append([estimator, *(" / ".join(text.best_bold(values, 0)) for values in areas)])
+        keys = [[(estimator, group, name) for name in _inputs(m, estimator)] for group, _ in places]
+        areas = (
+            [100 * records.get(key, {}).get(f"auc_{t:g}", np.nan) for key in of_place]
+            for of_place, (_, t) in zip(keys, places, strict=True)
+        )
+        cells = (" / ".join(cell or "–" for cell in text.best_bold(values, 0)) for values in areas)
+        rows.append([estimator, *cells])
     cameras = at.drop_duplicates("group").set_index("group")["cameras"].to_dict()
     head = [_names(m), *(f"{group_title(g, cameras.get(g, 0))}, {t:g}°" for g, t in places)]
     yield Table(head=head, rows=rows)
@@ -282,9 +325,9 @@ def _rankings(m: Material) -> Iterator[Block]:
             ranking = text.RANKING_TITLES.get(row["ranking"], row["ranking"])
             title = input_title(row["input"]) + ("" if row["ranking"] == "final" else f", {ranking}")
             cells = [f"{number(row[c])} / {number(row[f'scene_{c}'])}" for c in PRECISIONS]
-            cells += [f"{row['matches']:.0f}", f"{row['right']:.0f}", share(row["enough"])]
+            cells += [f"{row[name]:.0f}" for name in ("features", "matches", "right")] + [share(row["enough"])]
             rows.append([title, *cells, interval(row, "gain", lambda value: signed(value, 2))])
-    head = ["ranking", "top 10", "top 100", "top 500", "average precision", "matches", "right"]
+    head = ["ranking", "top 10", "top 100", "top 500", "average precision", "features", "matches", "right"]
     yield Table(head=[*head, f"pairs with {ENOUGH_RIGHT} right", "gain, top 100"], rows=rows)
 
 
@@ -341,8 +384,10 @@ def _pairs(m: Material) -> Iterator[Block]:
 
 
 def _method(m: Material) -> Iterator[Block]:
-    peers = " and ".join(input_title(name) for name in m.results.inputs_of_all if name in text.PEER_TITLES)
-    peers = f" {peers}: rankers of others on the same features, handed over as they are." if peers else ""
+    learned = [input_title(name) for name in m.results.inputs_of_all if name in text.LEARNED_TITLES]
+    rankers = [input_title(n) for n in m.results.inputs_of_all if n in text.PEER_TITLES.keys() - text.LEARNED_TITLES]
+    peers = f" {text.listed(rankers)}: rankers of others on our features, handed over as they are." if rankers else ""
+    peers += f" {text.listed(learned)}: {say('learned')}" if learned else ""
     yield say("method", peers=peers, seeds=m.results.tables.runs["seed"].nunique())
     rows = [
         [row["estimator"], row["backend"], f"{row['max_iterations']:,}"]

@@ -12,6 +12,7 @@ from epiprior.types import BoolArray, Status
 from epiprior_lab.evaluation.records import right_column
 from epiprior_lab.evaluation.statistics import Interval, success_curve
 from epiprior_lab.measures import CalibrationBins
+from epiprior_lab.pairsets.changed import CHANGES
 from epiprior_lab.report.results import ROUNDING, ReportError, Results
 from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, baseline_of, order_of
 
@@ -88,6 +89,27 @@ def duel_table(results: Results, champion: str, thresholds_px: Sequence[float]) 
     return pd.DataFrame(rows)
 
 
+def changed_table(results: Results, thresholds_px: Sequence[float]) -> pd.DataFrame:
+    """Return successes on sets of `pairsets.changed.CHANGES`, beside those on the same pairs as they were.
+
+    Columns: ``threshold_px, input``; ``estimator``, that with the most successes over all pairs below the first
+    threshold; ``group, pairs``; ``successes`` (mean over seeds) and ``unchanged``, those of the unchanged pairs.
+    """
+    places = {f"{row.group}-{row.pair_id}": k for k, row in enumerate(results.tables.pairs.itertuples())}
+    rows, everyone = [], results.masks[ALL]
+    for name in results.inputs_of_all if set(CHANGES) & set(results.sets) else ():
+        known = [e for e in results.estimators if name in results.inputs(e)]
+        best = max(known, key=lambda e: float(results.errors.of(e, name, thresholds_px[0])[everyone].sum()))
+        for threshold in thresholds_px:
+            rates = results.errors.of(best, name, threshold)
+            for group, member in results.groups([group for group in results.sets if group in CHANGES]):
+                before = [places[pair_id] for pair_id in results.tables.pairs.loc[member, "pair_id"]]
+                row: Cells = {"threshold_px": threshold, "input": name, "estimator": best, "group": group}
+                row |= {"pairs": len(before), "successes": float(rates[member].sum())}
+                rows.append(row | {"unchanged": float(rates[before].sum())})
+    return pd.DataFrame(rows)
+
+
 def decided(difference: Interval) -> str:
     """Return ``better`` or ``worse`` where the interval excludes zero by more than rounding, else ``open``."""
     if difference.low > ROUNDING:
@@ -138,14 +160,16 @@ def _ever(results: Results, column: str) -> BoolArray:
 def ranking_table(results: Results) -> pd.DataFrame:
     """Return means over labelled pairs by group, input and ranking.
 
-    Columns: ``group, input, ranking, pairs, matches, right``; `PRECISIONS` and ``scene_<name>`` of each, averaged over
-    scenes; ``enough``, the share of pairs with `ENOUGH_RIGHT` right matches or more; and against X_L in the order of
-    the distance ratio ``gain``, the difference of precision at 100, with the ends of its 95 % interval.
+    Columns: ``group, input, ranking, pairs, features`` (of an image), ``matches, right``; `PRECISIONS` and
+    ``scene_<name>`` of each, averaged over scenes; ``enough``, the share of pairs with `ENOUGH_RIGHT` right matches or
+    more; and against X_L in the order of the distance ratio ``gain``, the difference of precision at 100, with the ends
+    of its 95 % interval.
     """
     columns = ["group", "pair_id"]
     index = pd.MultiIndex.from_frame(results.tables.pairs[columns])
     ranked = results.tables.rankings
     ranked = ranked.assign(**{f"precision_{depth}": ranked[right_column(depth)] / depth for depth in DEPTHS})
+    ranked = ranked.assign(features=ranked[["features1", "features2"]].mean(axis=1))
     parts: dict[tuple[str, str], pd.DataFrame] = {
         (str(name), str(ranking)): part.set_index(columns).reindex(index)
         for (name, ranking), part in ranked.groupby(["input", "ranking"], sort=False)
@@ -159,7 +183,7 @@ def ranking_table(results: Results) -> pd.DataFrame:
             if base is None or not has.any():
                 continue
             row: Cells = {"group": group, "input": key[0], "ranking": key[1], "pairs": int(has.sum())}
-            row |= {name: float(part.loc[has, name].mean()) for name in ("matches", "right", *PRECISIONS)}
+            row |= {name: float(part.loc[has, name].mean()) for name in ("features", "matches", "right", *PRECISIONS)}
             for name in PRECISIONS:
                 row[f"scene_{name}"] = float(results.per_scene(part[name].to_numpy(np.float64), has).mean())
             row["enough"] = float((part.loc[has, "right"] >= ENOUGH_RIGHT).mean())

@@ -13,7 +13,12 @@ OURS = "default"
 BASELINES = ("standard", "generalized")  # what an estimator gets without the preprocessing step
 DIFFICULTIES = ("easy", "medium", "hard")
 
-PEER_TITLES: Mapping[str, str] = {"adalam": "AdaLAM", "gms": "GMS"}
+LEARNED_TITLES: Mapping[str, str] = {
+    "aliked": "ALIKED + LightGlue",
+    "disk": "DISK + LightGlue",
+    "xfeat": "XFeat + LighterGlue",
+}
+PEER_TITLES: Mapping[str, str] = {"adalam": "AdaLAM", "gms": "GMS", **LEARNED_TITLES}
 INPUT_TITLES: Mapping[str, str] = {
     "standard": "X_L",
     "generalized": "all similar",

@@ -8,8 +8,10 @@ import pandas as pd
 
 from epiprior_lab.evaluation.records import CASCADE
 from epiprior_lab.evaluation.statistics import contribution
+from epiprior_lab.params import ReportParams
 from epiprior_lab.report import figures
 from epiprior_lab.report.bounds import Bound, bound_rows, judge
+from epiprior_lab.report.decision import decision_figure, decision_table
 from epiprior_lab.report.page import Page, Section, Table
 from epiprior_lab.report.prose import picture
 from epiprior_lab.report.results import Results
@@ -62,11 +64,18 @@ def overhead_table(timings: pd.DataFrame, results: Results, threshold_px: float)
     return pd.DataFrame(rows)
 
 
-def write_timings(timings: pd.DataFrame, results: Results, out: Path, threshold_px: float, bounds: list[Bound]) -> None:
+def write_timings(
+    timings: pd.DataFrame, results: Results, out: Path, params: ReportParams, bounds: list[Bound]
+) -> None:
     """Write tables, figures and a page of the times of an evaluation: ``times.md`` and what it shows."""
+    threshold_px = params.success_px
     overhead, seconds = overhead_table(timings, results, threshold_px), seconds_table(timings, threshold_px)
     judged = judge(bounds, overhead=overhead)
-    for name, table in (("overhead", overhead), ("estimators", seconds), ("bounds", judged)):
+    thresholds = tuple(dict.fromkeys((params.success_px, params.strict_px)))
+    decision = decision_table(timings, results, thresholds, usual=params.champion)
+    decision_figure(decision, out / "decision.png")
+    tables = {"overhead": overhead, "estimators": seconds, "decision": decision, "bounds": judged}
+    for name, table in tables.items():
         if len(table):
             write_table(table, out / f"{name}.csv")
     single = (overhead["group"] != ALL) & (overhead["estimator"] != ALL) & (overhead["input"] != CASCADE)
@@ -80,7 +89,17 @@ def write_timings(timings: pd.DataFrame, results: Results, out: Path, threshold_
             rows.append([row["estimator"], str(row["runs"]), *times, share(row["preprocessed"])])
     head = ("estimator", "runs", "seconds without", "seconds with", "ratio", "ratio, median of runs")
     whole = Table(head=[*head, "runs preprocessed"], rows=rows)
+    points = [
+        [input_title(row["input"]), row["estimator"], *(number(row[f"successes_{px:g}"], 1) for px in thresholds)]
+        + [number(row[name]) for name in ("seconds_pair", "seconds_shared")]
+        for row in decision.to_dict("records")
+    ]
+    below = [f"below {px:g} px, of {int(decision['pairs'].iloc[0])}" for px in thresholds]
+    choice = Table(
+        head=["matches", "estimator", *below, "seconds per pair", "once features are there"], rows=points, texts=2
+    )
     sections = [
+        Section(title="What one pays", blocks=[choice, picture("decision", "decision.png")]),
         Section(title="From images to F", blocks=[whole, picture("overhead", "overhead.png")]),
         Section(title="Each estimator alone", blocks=[picture("estimators", "estimators.png")]),
         Section(title="Bounds", blocks=[Table(head=("bound", "found", "met"), rows=bound_rows(judged), texts=3)]),

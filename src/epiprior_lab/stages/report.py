@@ -18,7 +18,7 @@ from epiprior_lab.report.results import Results, read_table
 from epiprior_lab.report.sections import Extras
 
 GALLERY = Path("data/photographs-gallery")
-OF_OTHER_STAGES = {"overhead": "timings/overhead.png", "estimators": "timings/estimators.png"}
+OF_OTHER_STAGES = {name: f"timings/{name}.png" for name in ("decision", "overhead", "estimators")}
 OF_STUDY = {"cascade": "cascade.png", **{name: f"analysis/{name}.png" for name in ("steps", "ablations", "limits")}}
 
 

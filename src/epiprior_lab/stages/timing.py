@@ -3,13 +3,16 @@
 import argparse
 from pathlib import Path
 
+import joblib
 from rich.console import Console
 from rich.progress import track
 
 from epiprior.verification.cascade import load_cascade_rule
+from epiprior_lab.evaluation.learned import LEARNED
+from epiprior_lab.evaluation.peers import interpreter
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
 from epiprior_lab.evaluation.records import Tables, TimingRecord, to_frame, write_frame
-from epiprior_lab.evaluation.timing import spread_pairs, time_pair
+from epiprior_lab.evaluation.timing import spread_pairs, time_learned_pairs, time_pair
 from epiprior_lab.params import STUDY, StudyParams, load_params
 from epiprior_lab.report.bounds import BOUNDS, load_bounds
 from epiprior_lab.report.report import read_results
@@ -31,12 +34,15 @@ def main() -> None:
     records = []
     for group, pair in track(pairs, description="timing", console=Console(stderr=True)):
         records += time_pair(pair, protocol, rule, group=group, seeds=seeds)
+    for peer in (name for name in own.peers or () if name in LEARNED):
+        how = {"python": interpreter(), "threads": joblib.cpu_count()}
+        records += time_learned_pairs(pairs, peer, protocol, seeds=seeds, **how)
     timings = to_frame(TimingRecord, records)
     write_frame(timings, arguments.out / "pairs.csv")
     evaluated = Tables.read([Path(own.out) / group for group in own.groups])
     results = read_results(evaluated, params.report, apart=own.apart or ())
     bounds = load_bounds(BOUNDS, "study" if isinstance(params, StudyParams) else "photographs")
-    write_timings(timings, results, arguments.out, params.report.success_px, bounds)
+    write_timings(timings, results, arguments.out, params.report, bounds)
 
 
 if __name__ == "__main__":

@@ -164,10 +164,11 @@ def test_thresholds_of_large_images_are_meant_at_working_size(pairs, tmp_path):
 def test_the_protocol_of_a_parameter_file(pairs, relief, monkeypatch):
     params = load_params("benchmarks/real/params.yaml")
     protocol = make_protocol(params)
-    assert protocol.inputs["usac"] == ("standard", "snn", "default", "adalam", "gms")
+    assert protocol.inputs["usac"] == ("standard", "snn", "default", "adalam", "gms", "aliked", "disk", "xfeat")
     assert protocol.hand_overs["usac"]["snn"] == protocol.hand_overs["usac"]["gms"] == HandOver()  # whole
     assert protocol.hand_overs["usac"]["default"] == load_hand_overs()["usac"]["default"] != HandOver()
-    assert protocol.all_inputs == ("standard", "snn", "default", "adalam", "gms", "generalized")
+    assert "aliked" not in protocol.inputs["beem"]
+    assert protocol.all_inputs == (*protocol.inputs["usac"], "generalized")
     assert protocol.truth.one_plane == params.truth.one_plane
     assert protocol.measures.distance_points == params.measures.distance_points
     own = replace(

@@ -67,13 +67,15 @@ def test_the_printed_method_and_its_baseline_are_on_features_of_their_own(pairs,
     assert found.sets["paper-standard"][0].scale1.min() >= least > found.sets["standard"][0].scale1.min()
     alone = rank_matches(pairs[0].image1, pairs[0].image2, preset="fast").sets
     assert [len(each) for each in found.sets["fast"]] == [len(each) for each in alone]
-    assert found.features == inputs.match_pair(pairs[0], ("default",)).features
+    assert found.features["standard"] == found.features["default"] != found.features["paper-standard"]
 
 
 def test_matches_of_a_peer_are_kept_beside_our_own(pairs, relief, tmp_path):
     peers = relief.parent / "peers" / "relief"
     files = inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path, peers=peers)[0]
-    (found,) = files.read().sets["twin"]
+    (found,), own = files.read().sets["twin"], files.features["standard"]
+    assert files.features["twin"] == own
+    assert min(own) > 300
     np.testing.assert_allclose(found.x1, pairs[0].control_points()[0])
     assert np.isnan(found.probability).all()
     assert found.image_sizes == files.read().sets["standard"][0].image_sizes
@@ -87,6 +89,8 @@ def test_damaged_matches_of_a_peer_are_named(relief, tmp_path):
         ({"scale1": good["scale1"][:-1]}, "scale1 has shape"),
         ({"x1": good["x1"] * np.nan}, "not finite"),
         ({"x2": None}, "x2"),
+        ({"orientation1_deg": None}, "orientation1_deg"),
+        ({"features": np.array([3])}, "out of bounds"),
     ):
         values = {name: value for name, value in (good | change).items() if value is not None}
         np.savez(tmp_path / "q.npz", **values)
@@ -94,3 +98,14 @@ def test_damaged_matches_of_a_peer_are_named(relief, tmp_path):
             inputs.read_peer_matches(tmp_path / "q.npz")
     with pytest.raises(DatasetError, match="absent"):
         inputs.read_peer_matches(tmp_path / "absent.npz")
+
+
+def test_matches_of_a_peer_with_features_of_its_own(relief, tmp_path):
+    whole = np.load(relief.parent / "peers" / "relief" / "twin" / "relief-0.npz")
+    values = {name: whole[name] for name in ("x1", "x2", "feature1", "feature2")}
+    np.savez(tmp_path / "q.npz", **values, features=np.array([2048, 1500]))
+    found, counts = inputs.read_peer_matches(tmp_path / "q.npz")
+    assert counts == (2048, 1500)
+    np.testing.assert_array_equal(found.x2, values["x2"])
+    assert np.isnan([found.scale1, found.scale2, found.orientation1_deg, found.orientation2_deg]).all()
+    assert (np.diff(found.distance_ratio) > 0).all()

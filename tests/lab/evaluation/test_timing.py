@@ -44,5 +44,31 @@ def test_times_of_every_input_and_of_the_cascade(pairs, tiny_model, monkeypatch,
             assert both["error_px"] == second["error_px"]
 
 
+def test_times_of_a_learned_matcher(pairs, tmp_path, monkeypatch):
+    points = pairs[0].control_points()
+    index = np.arange(len(points[0]))
+    columns = {"x1": points[0], "x2": points[1], "feature1": index, "feature2": index, "features": np.array([90, 80])}
+    asked = []
+
+    def match(*, images, peer, python, script, threads):
+        asked.append((images, peer, python, threads))
+        return [columns] * len(images), [(3.0, 1.0)] * len(images)
+
+    monkeypatch.setattr(timing, "time_learned", match)
+    inputs = {"usac": ("standard", "xfeat"), "epiprior": ("standard",)}
+    hand_overs = {e: dict.fromkeys(names, HandOver()) for e, names in inputs.items()}
+    protocol = Protocol(inputs=inputs, seeds=(0,), hand_overs=hand_overs)
+    chosen = [("g", pairs[0]), ("g", pairs[0])]
+    records = timing.time_learned_pairs(chosen, "xfeat", protocol, seeds=(0, 1), python=tmp_path, threads=3)
+    assert asked == [([(pairs[0].image1, pairs[0].image2)] * 2, "xfeat", tmp_path, 3)]
+    table = to_frame(TimingRecord, records)
+    assert table["seed"].tolist() == [0, 1, 0, 1]
+    assert set(table["estimator"]) == {"usac"}
+    assert (table["seconds_features"] == 3.0).all()
+    np.testing.assert_allclose(table["seconds_total"] - table["seconds_estimator"], 4.0)
+    assert (table["error_px"] < 1).all()
+    assert not table["preprocessed"].any()
+
+
 def test_pairs_are_taken_evenly():
     assert (timing.spread_pairs(list(range(10)), 3), timing.spread_pairs([1, 2], 3)) == ([0, 3, 6], [1, 2])

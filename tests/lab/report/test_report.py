@@ -51,15 +51,17 @@ def test_every_group_and_estimator_has_its_rows(study_report, photograph_report)
 def test_the_small_table_leads(photograph_report):
     made, out = photograph_report
     text = (out / "performance.md").read_text()
-    rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")][:7]
-    assert [row[0] for row in rows] == ["matches", "X_L", "snn", "AdaLAM", "GMS", "cascade of X_L and ours", "ours"]
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")][:8]
+    titles = ["X_L", "snn", "AdaLAM", "GMS", "ALIKED + LightGlue", "cascade of X_L and ours", "ours"]
+    assert [row[0] for row in rows] == ["matches", *titles]
+    assert [row[2] for row in rows] == ["features", *["1900"] * 4, "2048", "1900", "1900"]
     names = ("all pairs (12), 10 px", "hard pairs (6), 10 px", "all pairs (12), 3 px", "hard pairs (6), 3 px")
-    assert rows[0][2:] == list(names)
+    assert rows[0][3:] == list(names)
     at = made["successes"]
     at = at[(at["group"] == "all") & (at["threshold_px"] == 10) & (at["input"] == "snn")]
     best = at.sort_values("successes", ascending=False, kind="stable").iloc[0]
     assert rows[2][1] == best["estimator"]
-    assert float(rows[2][2].strip("*")) == pytest.approx(100 * best["successes"] / 12, abs=0.05)
+    assert float(rows[2][3].strip("*")) == pytest.approx(100 * best["successes"] / 12, abs=0.05)
 
 
 def test_a_committed_page_shows_no_photograph(photographs, photograph_report):

@@ -36,7 +36,7 @@ def test_groups(study, photographs):
     sizes = {name: int(member.sum()) for name, member in photographs.results.masks.items()}
     assert sizes == {"easy": 3, "medium": 2, "hard": 6, "all": 12, **dict.fromkeys(SETS, 6)}
     assert photographs.results.hard_pairs.sum() == 6
-    assert photographs.results.inputs("usac") == ["standard", "snn", "adalam", "gms", "default"]
+    assert photographs.results.inputs("usac") == ["standard", "snn", "adalam", "gms", "aliked", "default"]
 
 
 @pytest.mark.parametrize("threshold", [10.0, 3.0])

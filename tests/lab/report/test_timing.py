@@ -61,9 +61,10 @@ def test_seconds_by_outcome(timings):
 
 @pytest.mark.slow
 def test_files(study, timings, tmp_path):
-    write_timings(timings, study.results, tmp_path, 10.0, WANTED)
+    write_timings(timings, study.results, tmp_path, study.params, WANTED)
     assert {path.name for path in tmp_path.iterdir()} == {
-        "bounds.csv", "estimators.csv", "estimators.png", "overhead.csv", "overhead.png", "times.md",
+        "bounds.csv", "decision.csv", "decision.png", "estimators.csv", "estimators.png", "overhead.csv",
+        "overhead.png", "times.md",
     }  # fmt: skip
     text = (tmp_path / "times.md").read_text()
     assert "median time with preprocessing at most 2 times that without" in text
