@@ -7,7 +7,7 @@ card. Loading executes nothing of the folder; a folder that differs from its man
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -141,6 +141,12 @@ def load_model(name_or_path: str | Path) -> RankingModel:
     """
     is_name = isinstance(name_or_path, str) and not any(slash in name_or_path for slash in "/\\")
     folder = find_model(str(name_or_path)) if is_name else Path(name_or_path)
+    manifest, classifiers = read_classifiers(folder, TARGETS)
+    return RankingModel(_entry(manifest, folder / MANIFEST, str, "name"), manifest, *classifiers)
+
+
+def read_classifiers(folder: Path, targets: Sequence[str]) -> tuple[dict[str, Any], list[Classifier]]:
+    """Return the manifest of a folder and its classifiers, in the order of `targets`; raises as `load_model`."""
     if not folder.is_dir():
         raise ModelError(f"{folder}: no such folder")
     path = folder / MANIFEST
@@ -153,14 +159,13 @@ def load_model(name_or_path: str | Path) -> RankingModel:
     if version != SCHEMA_VERSION:
         raise ModelError(f"{path}: schema_version is {version!r}, this epiprior reads {SCHEMA_VERSION}")
     contents = {}
-    for file in (*(f"{target}.onnx" for target in TARGETS), CARD):
+    for file in (*(f"{target}.onnx" for target in targets), CARD):
         expected = _entry(manifest, path, str, "files", file)
         contents[file] = _read(folder / file)
         found = hashlib.sha256(contents[file]).hexdigest()
         if found != expected:
             raise ModelError(f"{folder / file}: sha256 is {found}, {MANIFEST} says {expected}")
-    classifiers = (_classifier(path, manifest, target, contents[f"{target}.onnx"]) for target in TARGETS)
-    return RankingModel(_entry(manifest, path, str, "name"), manifest, *classifiers)
+    return manifest, [_classifier(path, manifest, target, contents[f"{target}.onnx"]) for target in targets]
 
 
 def _read(path: Path) -> bytes:
