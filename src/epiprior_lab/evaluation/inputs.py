@@ -64,10 +64,14 @@ def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | No
 
     SettingsError if an input is unknown.
     """
+    return match_detected(detected or detect_pair(pair), inputs)
+
+
+def match_detected(found: DetectedPair, inputs: Sequence[str]) -> PairMatches:
+    """Match two images whose features are found in every asked way; SettingsError if an input is unknown."""
     unknown = [name for name in inputs if name not in INPUTS]
     if unknown:
         raise SettingsError(f"input is {unknown[0]!r}, known: {', '.join(INPUTS)}")
-    found = detected or detect_pair(pair)
     (photo1, photo2), (features1, features2) = found.photographs, found.features
     sets: dict[str, tuple[MatchSet, ...]] = {}
     for name in inputs:

@@ -81,14 +81,14 @@ def train(
         preset: TargetRows.stack("two_keypoint", find_preset(preset).two_keypoint_columns, samples)
         for preset, samples in drawn.items()
     }
-    first = _compare(data, params, workers, store)
+    first = compare(data, params, workers, store)
     tasks = [task for preset in folders for task in _vote_tasks(files[preset], first[preset], params)]
     samples = iter(map_tasks(match_sample, tasks, workers=workers, description="votes", store=store))
     data = {
         preset: TargetRows.stack("match", find_preset(preset).match_columns, [next(samples) for _ in files[preset]])
         for preset in folders
     }
-    second = _compare(data, params, workers, store)
+    second = compare(data, params, workers, store)
     return {preset: (first[preset], second[preset]) for preset in folders}
 
 
@@ -128,8 +128,11 @@ def match_sample(*, file: Path, classifier: bytes, platt: Platt, preset: str, mo
     return Sample.draw(scene=table.scene, pair=file.stem, rows=rows, labels=labels, most=most, seed=seed)
 
 
-def _compare(data: Mapping[str, TargetRows], params: TrainParams, workers: int, store: Path) -> dict[str, Comparison]:
-    """Cross-validate the families of every preset, the exported one by row as well, and refit that one."""
+def compare(data: Mapping[str, TargetRows], params: TrainParams, workers: int, store: Path) -> dict[str, Comparison]:
+    """Cross-validate the families of every preset, the exported one by row as well, and refit that one.
+
+    `data` are the rows of one target by preset, or by another model that `TrainParams.exported` has a family for.
+    """
     caps = dict.fromkeys(params.families, params.max_rows)
     caps |= {"random-forest": params.max_forest_rows, "svm": params.max_svm_rows}
     exported = {preset: str(getattr(params.exported, preset)) for preset in data}
