@@ -81,6 +81,18 @@ def plan_cases(
     return cases
 
 
+def places_of(sets: Mapping[str, Sequence[Pair]], *, by_scene: bool) -> dict[str, list[Pair]]:
+    """Return the places of pair sets: scenes where each is a place of its own, else whole sets.
+
+    Sets of photographs come from different places; their scenes may overlap.
+    """
+    places: dict[str, list[Pair]] = {}
+    for name, pairs in sets.items():
+        for pair in pairs:
+            places.setdefault(pair.scene if by_scene else name, []).append(pair)
+    return places
+
+
 def case_images(case: KindCase) -> tuple[Image, Image]:
     """Return the two images of a case, (H, W, 3), RGB."""
     if case.pair is not None:

@@ -64,7 +64,10 @@ def rule_in_words(rule: CascadeRule) -> str:
     """Return what a rule keeps, as a sentence."""
     if rule == NEVER:
         return "No rule kept to what is tolerated: every pair is preprocessed."
-    return f"Its answer is kept if its status is `ok` and its confidence at least {rule.min_confidence:g}; otherwise the pair is preprocessed."
+    return (
+        f"Its answer is kept if its status is `ok` and its confidence at least {rule.min_confidence:g}; otherwise "
+        "the pair is preprocessed."
+    )
 
 
 def learnt_page(learnt: LearntRule, params: CascadeParams, success_px: float, strict_px: float, figure: str) -> Page:
