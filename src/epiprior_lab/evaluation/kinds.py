@@ -31,6 +31,7 @@ from epiprior_lab.scenes.world import Image
 TRUE, DOPPELGANGER, COLMAP = "pair", "doppelganger", "colmap-verification"
 _OF_TWO = ("unrelated", "overlay")
 _STYLES = "facades-hard"
+_SHIFT = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # to COLMAP's pixels
 Result = TypeVar("Result")
 
 
@@ -178,7 +179,7 @@ def _colmap(matches: PairMatches) -> Iterator[FundamentalEstimate]:
     inliers[np.asarray(answer.inlier_matches, np.int64).reshape(-1, 2)[:, 0]] = general or flat
     yield FundamentalEstimate(
         status=Status.OK if general else Status.DEGENERATE if flat else Status.NO_MODEL,
-        F=None,
+        F=None if not general or answer.F is None else _SHIFT.T @ np.asarray(answer.F) @ _SHIFT,
         x1=given.x1,
         x2=given.x2,
         inliers=inliers,
