@@ -1,7 +1,7 @@
 """Facts of an estimate: what the matches, F and the best homography say, in numbers that need no truth.
 
-None of them decides anything by itself; the classifiers of `epiprior.verification.confidence` take them together. No
-fact changes where the two images change places. What is unknown is -1. Lengths are working pixels.
+None of them decides anything by itself; the classifiers of `epiprior.verification.confidence` take them together.
+Where the two images change places, they hardly change. What is unknown is -1. Lengths are working pixels.
 """
 
 import math

@@ -75,7 +75,6 @@ def train(
     for preset, found in files.items():
         if not found:
             raise SettingsError(f"{folders[preset]}: no rows; run the stage features first")
-    store.mkdir(parents=True, exist_ok=True)
     drawn = {preset: [two_keypoint_sample(file, preset, params) for file in files[preset]] for preset in folders}
     data = {
         preset: TargetRows.stack("two_keypoint", find_preset(preset).two_keypoint_columns, samples)
@@ -133,6 +132,7 @@ def compare(data: Mapping[str, TargetRows], params: TrainParams, workers: int, s
 
     `data` are the rows of one target by preset, or by another model that `TrainParams.exported` has a family for.
     """
+    store.mkdir(parents=True, exist_ok=True)
     caps = dict.fromkeys(params.families, params.max_rows)
     caps |= {"random-forest": params.max_forest_rows, "svm": params.max_svm_rows}
     exported = {preset: str(getattr(params.exported, preset)) for preset in data}
