@@ -14,10 +14,17 @@ import numpy as np
 
 from epiprior.errors import ModelError, SettingsError
 from epiprior.ranking.models import Classifier, find_model, read_classifiers
-from epiprior.types import Float32Array, Geometry, Status
+from epiprior.types import Geometry, Status
 from epiprior.verification.facts import COLUMNS, Facts
 
-CONFIDENCE_TARGETS = ("confidence", "homography")
+# Columns of both classifiers. How many matches there are says nothing of whether a homography explains them.
+CONFIDENCE_TARGETS = {
+    "confidence": COLUMNS,
+    "homography": (
+        "plane_tight", "plane", "plane_all", "plane_by_chance", "off_plane_by_chance", "parallax_by_chance",
+        "plane_residual", "relief", "copy_residual", "in_place", "apart", "share",
+    ),
+}  # fmt: skip
 MODEL = "confidence"
 _OVERLAY_SHARE = 0.2
 _MESSAGES = {
@@ -38,12 +45,11 @@ class ConfidenceModel:
     homography: Classifier
     min_confidence: float
 
-    def probabilities(self, row: Float32Array) -> tuple[float, float]:
-        """Return the probabilities, in (0, 1), that F is right and that a homography relates the images.
-
-        `row`, shape (C,), is `Facts.row`.
-        """
-        return float(self.confidence(row[None])[0]), float(self.homography(row[None])[0])
+    def probabilities(self, facts: Facts) -> tuple[float, float]:
+        """Return the probabilities, in (0, 1), that F is right and that a homography relates the images."""
+        row, place = facts.row(), {name: k for k, name in enumerate(COLUMNS)}
+        of = [row[None, [place[name] for name in c.columns]] for c in (self.confidence, self.homography)]
+        return float(self.confidence(of[0])[0]), float(self.homography(of[1])[0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +68,7 @@ def judge(facts: Facts, kind: Geometry | None, model: ConfidenceModel, min_confi
     `kind` is that of its best homography (`degeneracy.kind_of_homography`), None without one; `min_confidence` replaces
     the model's.
     """
-    right, flat = model.probabilities(facts.row())
+    right, flat = model.probabilities(facts)
     least = model.min_confidence if min_confidence is None else min_confidence
     if kind is not None and flat >= 0.5 and flat > right:
         return Verdict(status=Status.DEGENERATE, geometry=kind, confidence=right, message=_MESSAGES[kind])
@@ -92,11 +98,10 @@ def load_confidence(folder: Path | None = None) -> ConfidenceModel:
     ModelError if it is missing or damaged, or was made for other facts than those of this epiprior.
     """
     found = folder or find_model(MODEL)
-    manifest, (right, flat) = read_classifiers(found, CONFIDENCE_TARGETS)
-    for classifier in (right, flat):
-        if classifier.columns != COLUMNS:
-            unlike = sorted(set(COLUMNS).symmetric_difference(classifier.columns))
-            raise ModelError(f"{found}: made for other facts than this epiprior has: {', '.join(unlike) or 'order'}")
+    manifest, (right, flat) = read_classifiers(found, tuple(CONFIDENCE_TARGETS))
+    unknown = sorted({*right.columns, *flat.columns} - set(COLUMNS))
+    if unknown:
+        raise ModelError(f"{found}: made of facts that this epiprior does not have: {', '.join(unknown)}")
     least = manifest.get("min_confidence")
     try:
         check_min_confidence(least)

@@ -14,7 +14,7 @@ _CARD = """\
 # epiprior model `confidence`
 
 Two classifiers over the facts of an estimate (`epiprior.verification.facts`), one for all estimators and all inputs.
-Each takes `rows`, float32 (N, {columns}), and gives `probability`, float32 (N,), not calibrated yet. Calibrated is
+Each takes `rows`, float32 (N, C), and gives `probability`, float32 (N,), not calibrated yet. Calibrated is
 `sigmoid(a * logit(probability) + b)`.
 
 | file | gives the probability that | family | a | b |
@@ -38,6 +38,10 @@ Cross-validation by blocks of scenes, calibrated on the other folds.
 | measure | confidence | homography |
 |---|---|---|
 {measures}
+
+## Columns, in order
+
+{columns}
 
 ## Limits
 
@@ -78,7 +82,7 @@ def export_confidence(
         rows[target] = f"{item['family']} | {item['a']:.4f} | {item['b']:.4f}"
     calibrated = [summary[target]["metrics"] for target in CONFIDENCE_TARGETS]
     card = _CARD.format(
-        columns=len(summary["confidence"]["columns"]),
+        columns="\n".join(f"- `{t}`: {', '.join(summary[t]['columns'])}" for t in CONFIDENCE_TARGETS),
         right=rows["confidence"],
         flat=rows["homography"],
         least=least,

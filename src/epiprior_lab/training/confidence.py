@@ -92,8 +92,8 @@ def collect_facts(
 def confidence_rows(facts: Sequence[CaseFacts], seed: int) -> dict[str, TargetRows]:
     """Return the rows of both targets: is F right; does a homography relate the images."""
     return {
-        target: TargetRows.stack(target, COLUMNS, [_sample(found, target, seed) for found in facts if len(found.rows)])
-        for target in CONFIDENCE_TARGETS
+        target: TargetRows.stack(target, columns, [_sample(found, target, seed) for found in facts if len(found.rows)])
+        for target, columns in CONFIDENCE_TARGETS.items()
     }
 
 
@@ -108,7 +108,7 @@ def _sample(found: CaseFacts, target: str, seed: int) -> Sample:
     return Sample(
         scene=found.case.block,
         pair=found.case.name,
-        rows=np.concatenate([found.rows, lacking]),
+        rows=np.concatenate([found.rows, lacking])[:, [COLUMNS.index(name) for name in CONFIDENCE_TARGETS[target]]],
         labels=np.concatenate([labels, labels]),
         size=2 * len(found.rows),
     )
