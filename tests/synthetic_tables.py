@@ -99,13 +99,16 @@ def _runs(rng, key, inputs, *, cameras, labelled):
         error = float(rng.gamma(1.5, 1.2) if works else 10 * rng.lognormal(1, 0.6))
         ok = found and int(1e6 * error) % 9 != 0  # the status knows nothing of the truth here
         status = "ok" if ok else "degenerate" if found else "no_model"
+        kind = "general" if ok else "planar" if found else "none"
         counts = {"matches": 200, "iterations": None if estimator == "prosac" else 100}
-        counts |= {"support": 120, "spread": 60} if ok else {"support": 0, "spread": 0}
+        counts |= {"support": 120 if found else 0}
         turned = error if cameras else np.nan
         measures = {"error_px": error, "median_error_px": 0.8 * error, "distance": error / 100 if labelled else np.nan}
-        measures |= {"plausibility": 0.97, "rotation_deg": turned, "translation_deg": 2 * turned}
+        measures |= {"confidence": 0.97, "rotation_deg": turned, "translation_deg": 2 * turned}
         measures = measures if found else dict.fromkeys(measures, np.nan)
-        yield RunRecord(**key, estimator=estimator, input=name, seed=seed, status=status, **counts, **measures)
+        yield RunRecord(
+            **key, estimator=estimator, input=name, seed=seed, status=status, geometry=kind, **counts, **measures
+        )
 
 
 def _calibration(rng, key, name):

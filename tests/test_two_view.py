@@ -16,14 +16,13 @@ from epiprior.ranking.models import load_model
 from epiprior.two_view import estimate_fundamental
 from epiprior.types import MatchSet, RankedMatches, Status
 from epiprior.verification.cascade import CascadeRule
-from epiprior.verification.measures import camera_plausibility
 from pictures import relief_pair, texture
 from synthetic import make_pair
 from tiny_model import make_model
 
 LEFT, RIGHT = relief_pair(240, 180)
-KEEP_ALL = CascadeRule(min_plausibility=0.0)
-KEEP_NONE = CascadeRule(min_plausibility=1.0)
+KEEP_ALL = CascadeRule(min_confidence=0.0)
+KEEP_NONE = CascadeRule(min_confidence=1.0)
 
 
 def ranked_of(matches: MatchSet, standard: MatchSet) -> RankedMatches:
@@ -214,9 +213,3 @@ def test_a_threshold_is_for_both_inputs(ranking):
 def test_the_rule_of_the_models_is_used(ranking, monkeypatch, rule, taken):
     monkeypatch.setattr(two_view, "load_cascade_rule", lambda: rule)
     assert estimate_fundamental(LEFT, RIGHT, mode="cascade").input == taken
-
-
-def test_spread_and_plausibility_are_known_of_photographs(ranking):
-    found = estimate_fundamental(LEFT, RIGHT, mode="standard")
-    assert 0 < found.spread <= 5 * 4  # so many cells of 48 pixels the images have
-    assert found.plausibility == camera_plausibility(found.raw_F[None], ((240, 180), (240, 180)))[0]

@@ -62,7 +62,9 @@ def rank_matches(
     model = model or load_model(settings.model)
     _check_columns(model, settings)
     watch = Stopwatch()
-    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, watch=watch)
+    prepared = prepare_pair(
+        image1, image2, settings, features1=features1, features2=features2, watch=watch, ordered=True
+    )
     with watch.step("roll"):
         rolls = roll_hypotheses(prepared, settings)
     sets = []
@@ -128,4 +130,4 @@ def rank_voted(
         rough_matrices=F,
         image_sizes=(f1.image_size, f2.image_size),
     )
-    return ranked.take(np.lexsort((np.arange(len(union)), ratio, -sfm, -probability)))
+    return prepared.as_given(ranked.take(np.lexsort((np.arange(len(union)), ratio, -sfm, -probability))))

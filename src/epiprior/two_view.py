@@ -16,6 +16,7 @@ from epiprior.presets import PAPER, Mode, PreprocessSettings, find_preset
 from epiprior.rank import rank_matches
 from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
 from epiprior.verification.cascade import CascadeRule, load_cascade_rule
+from epiprior.verification.confidence import check_min_confidence
 
 
 def estimate_fundamental(
@@ -33,6 +34,7 @@ def estimate_fundamental(
     hand_over: HandOver | None = None,
     rule: CascadeRule | None = None,
     settings: PreprocessSettings | None = None,
+    min_confidence: float | None = None,
 ) -> FundamentalEstimate:
     """Estimate the fundamental matrix of two photographs.
 
@@ -54,12 +56,15 @@ def estimate_fundamental(
         inputs and takes none.
     rule : Of the cascade, instead of the one that was chosen on validation scenes.
     settings : Instead of the preset's. Standard matches are made of the same features.
+    min_confidence : The status is ``ok`` from this confidence on, in [0, 1], instead of the one that about one in a
+        hundred pairs of photographs of different places reaches.
 
     Returns
     -------
-    `x1`, `x2`, `inliers` and `F` in pixels of the images as given. `input` tells which matches it comes from. A cascade
-    that did not keep the estimate on standard matches counts the seconds of that attempt as ``standard input``, beside
-    those of the second. It returns the second estimate, except where only the first has an F.
+    `x1`, `x2`, `inliers`, `F` and `H` in pixels of the images as given; with the images in the other order, the same
+    transposed. `input` tells which matches it comes from. A cascade that did not keep the estimate on standard matches
+    counts the seconds of that attempt as ``standard input``, beside those of the second. It returns the second
+    estimate, except where only the first is ``ok``.
 
     Raises
     ------
@@ -74,6 +79,8 @@ def estimate_fundamental(
         raise SettingsError(f"mode is {mode!r}, known: {', '.join(get_args(Mode))}")
     if mode != "cascade" and rule is not None:
         raise SettingsError(f"rule is of the cascade, but mode is {mode!r}")
+    if min_confidence is not None:
+        check_min_confidence(min_confidence)
     if mode == "cascade" and hand_over is not None:
         raise SettingsError("hand_over is for one input, but mode 'cascade' has two")
     chosen = settings or find_preset(preset)
@@ -87,7 +94,9 @@ def estimate_fundamental(
         limit = chosen.features.max_image_size
         factor1, factor2 = (blank_photograph((round(w), round(h)), limit).factor for w, h in sizes)
         factors = factor1, factor2
-        result = estimate_from_matches(sets, estimator=estimator, seed=seed, hand_over=how, pixel_factors=factors)
+        result = estimate_from_matches(
+            sets, estimator=estimator, seed=seed, hand_over=how, pixel_factors=factors, min_confidence=min_confidence
+        )
         message = result.message
         if result.status is Status.TOO_FEW_MATCHES:
             why = explain_shortage((image1, image2), (features1, features2), chosen.features)
@@ -108,8 +117,12 @@ def estimate_fundamental(
             matches = ranked.standard
         else:
             baseline = replace(PAPER, features=as_paper)
-            prepared = prepare_pair(image1, image2, baseline, features1=features1, features2=features2, watch=watch)
-            matches, found = standard_set(prepared, baseline), prepared.features
+            prepared = prepare_pair(
+                image1, image2, baseline, features1=features1, features2=features2, watch=watch, ordered=True
+            )
+            first_found, second_found = prepared.features
+            found = (second_found, first_found) if prepared.turned else (first_found, second_found)
+            matches = standard_set(prepared, baseline)
         first = estimate(kind, [matches], watch.seconds)
         if mode == "standard" or (rule or load_cascade_rule()).keeps(first):
             return first

@@ -159,11 +159,19 @@ class MatchSet:
         columns = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in _NOT_COLUMNS}
         return replace(self, **columns)
 
+    def swapped(self) -> MatchSet:
+        """Return the same matches with the two images in the other order."""
+        columns = {to: getattr(self, of) for pair in _SIDES for to, of in (pair, pair[::-1])}
+        rough = np.ascontiguousarray(self.rough_matrices.transpose(0, 2, 1))
+        sizes = None if self.image_sizes is None else self.image_sizes[::-1]
+        return replace(self, **columns, rough_matrices=rough, image_sizes=sizes, roll_deg=0.0 - self.roll_deg)
+
     def one_to_one(self) -> MatchSet:
         """Walk down the ranking and drop every match whose feature, in either image, was used before."""
         return self.take(one_to_one_mask(self.feature1, self.feature2))
 
 
+_SIDES = (("x1", "x2"), ("scale1", "scale2"), ("orientation1_deg", "orientation2_deg"), ("feature1", "feature2"))
 _NOT_COLUMNS = frozenset({"roll_deg", "rough_matrices", "image_sizes"})
 
 
@@ -184,6 +192,11 @@ class RankedMatches:
     seconds: Mapping[str, float]
     preset: str
 
+    def swapped(self) -> RankedMatches:
+        """Return the same with the two images in the other order."""
+        sets = tuple(matches.swapped() for matches in self.sets)
+        return replace(self, sets=sets, standard=self.standard.swapped())
+
 
 class Status(StrEnum):
     """Outcome of an estimation."""
@@ -194,20 +207,33 @@ class Status(StrEnum):
     DEGENERATE = "degenerate"
 
 
+class Geometry(StrEnum):
+    """What relates two images, as far as their matches tell."""
+
+    GENERAL = "general"  # different views of something that is not flat: F
+    PLANAR = "planar"  # of one plane,
+    ROTATION = "rotation"  # by a camera that only turned or zoomed,
+    IDENTICAL = "identical"  # of one picture: a homography, which leaves F undecided
+    NONE = "none"  # nothing that can be told from chance
+
+
 @dataclass(frozen=True, kw_only=True)
 class FundamentalEstimate:
-    """A fundamental matrix, or why there is none.
+    """A fundamental matrix with the probability that it is right, or why there is none.
 
     Parameters
     ----------
-    status : ``ok``, ``too_few_matches``, ``no_model`` or ``degenerate``.
-    F : (3, 3) float64. ``x2' F x1 = 0``; rank 2, Frobenius norm 1, largest entry positive. None unless `status` is
-        ``ok``.
-    raw_F : (3, 3) float64. F before it was verified, in the same form; None if the estimator gave none. For measuring
-        an estimator: whether to trust F is what `status` says.
+    status : ``ok``: F, with at least the confidence that is asked for. ``degenerate``: a homography relates the images,
+        and F is not determined. ``no_model``: no F, or one with a lower confidence. ``too_few_matches``.
+    F : (3, 3) float64. ``x2' F x1 = 0``; rank 2, Frobenius norm 1, largest entry positive. None only where the
+        estimator found none: whether to rely on it is what `status` and `confidence` say.
     x1, x2 : (N, 2) float64. The matches over which support was collected, pixels.
-    inliers : (N,) bool. Which of them lie within the threshold of `F`, recomputed by epiprior; all False without `F`.
+    inliers : (N,) bool. Which of them lie within the threshold of `F`; with an `H`, which lie near that.
     support : Number of inliers.
+    confidence : Calibrated probability, in [0, 1], that F is right: that the Sampson distance (unsquared) of points
+        all over what both images show is below 10 pixels in the mean, at working size. NaN without F.
+    geometry : What relates the images, see `Geometry`.
+    H : (3, 3) float64. The homography ``x2 ~ H x1`` of the kinds that have one, Frobenius norm 1; else None.
     iterations : Number of hypotheses, where the backend tells.
     estimator, version : Name in the registry, and the backend's package and version.
     roll_deg : The roll hypothesis of `F`, degrees.
@@ -215,10 +241,6 @@ class FundamentalEstimate:
         the preset that ranked the matches; empty if unknown.
     message : Why `status` is not ``ok``; empty otherwise.
     seconds : Wall time per step.
-    spread : Number of cells of 48 x 48 pixels at working size that hold inliers, in the image where they are fewer
-        (`epiprior.verification.measures`).
-    plausibility : Whether two ordinary cameras can have `raw_F`, in [0, 1] (`epiprior.verification.measures`);
-        independent of the matches. NaN without an F, and where the sizes of the images are unknown.
     """
 
     status: Status
@@ -228,15 +250,23 @@ class FundamentalEstimate:
     inliers: BoolArray
     support: int
     estimator: str
+    confidence: float = math.nan
+    geometry: Geometry = Geometry.NONE
+    H: FloatArray | None = None
     version: str = ""
     iterations: int | None = None
     roll_deg: float = 0.0
     input: str = ""
-    raw_F: FloatArray | None = None
     message: str = ""
     seconds: Mapping[str, float] = field(default_factory=lambda: EMPTY_MAPPING)
-    spread: int = 0
-    plausibility: float = math.nan
 
     def __bool__(self) -> bool:
         return self.status is Status.OK
+
+    def swapped(self) -> FundamentalEstimate:
+        """Return the same with the two images in the other order."""
+        F, H = None if self.F is None else np.ascontiguousarray(self.F.T), self.H
+        if H is not None:
+            back: FloatArray = np.linalg.inv(H).astype(np.float64)
+            H = back / np.linalg.norm(back)
+        return replace(self, F=F, H=H, x1=self.x2, x2=self.x1, roll_deg=0.0 - self.roll_deg)

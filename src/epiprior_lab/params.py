@@ -19,6 +19,9 @@ from epiprior.errors import SettingsError
 STUDY = Path("params.yaml")
 PHOTOGRAPHS = Path("benchmarks/real/params.yaml")
 
+SPLITS = ("train", "confidence", "validation", "test")
+KINDS = ("pair", "unrelated", "doppelganger", "overlay", "plane", "rotation", "copy")
+
 Preset = Literal["paper", "default"]
 Input = Literal["standard", "snn", "generalized", "paper-standard", "paper", "fast", "default"]
 
@@ -136,6 +139,19 @@ class MeasureParams:
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
+class KindParams:
+    """Pairs of other kinds that the confidence is tried on, and true ones: so many of each, by estimator and input."""
+
+    seed: Seed
+    estimators: Listed[str]
+    inputs: Listed[Input]
+    pairs: Mapping[str, Count]
+
+    def __post_init__(self) -> None:
+        _check_known("pairs", self.pairs, KINDS)
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
 class TimingParams:
     """Pairs and seeds on which time is measured."""
 
@@ -183,11 +199,13 @@ class Params:
     evaluate: EvaluateParams
     truth: TruthParams
     measures: MeasureParams
+    kinds: KindParams
     timing: TimingParams
     report: ReportParams
 
     def __post_init__(self) -> None:
         report, estimators = self.report, self.evaluate.estimators
+        _check_known("kinds.estimators", self.kinds.estimators, estimators)
         _check_known("report.champion", (report.champion,), estimators)
         if report.gallery is not None:
             _check_known("report.gallery.estimator", (report.gallery.estimator,), estimators)
@@ -201,6 +219,7 @@ class PairCounts:
     """Pairs of each family in each split."""
 
     train: Mapping[str, Count]
+    confidence: Mapping[str, Count]
     validation: Mapping[str, Count]
     test: Mapping[str, Count]
 
@@ -217,7 +236,7 @@ class SceneParams:
     jpeg_quality: Annotated[int, Field(ge=1, le=100)]
 
     def __post_init__(self) -> None:
-        for split in ("train", "validation", "test"):
+        for split in SPLITS:
             counts = getattr(self.pairs, split)
             if set(counts) != set(self.families):
                 raise ValueError(f"pairs.{split} counts {sorted(counts)}, expected the families {list(self.families)}")
@@ -241,10 +260,11 @@ class FeatureParams:
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class ExportedFamilies:
-    """The family of classifiers that each preset ships."""
+    """The family of classifiers that each preset ships, and the confidence."""
 
     paper: str
     default: str
+    confidence: str
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -261,7 +281,7 @@ class TrainParams:
     max_svm_rows: Rows
 
     def __post_init__(self) -> None:
-        for preset in ("paper", "default"):
+        for preset in ("paper", "default", "confidence"):
             _check_known(f"exported.{preset}", (getattr(self.exported, preset),), self.families)
 
 
@@ -298,7 +318,27 @@ class CascadeParams:
     seeds: Listed[Seed]
     tolerance: Share
     strict_tolerance: Share
-    min_plausibility: Listed[Share]
+    min_confidence: Listed[Share]
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class ConfidenceParams:
+    """What the confidence is learnt from: estimates on true pairs, by `kind_estimators` on pairs of other kinds.
+
+    `kinds` counts the pairs of each kind per block of scenes, one of each family; `accepted_unrelated` is the share of
+    estimates on unrelated pairs that reach the default of the confidence that is asked for.
+    """
+
+    seed: Seed
+    estimators: Listed[str]
+    kind_estimators: Listed[str]
+    inputs: Listed[Input]
+    kinds: Mapping[str, Count]
+    accepted_unrelated: Share
+
+    def __post_init__(self) -> None:
+        _check_known("kind_estimators", self.kind_estimators, self.estimators)
+        _check_known("kinds", self.kinds, KINDS[1:])
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -321,6 +361,7 @@ class StudyParams(Params):
     features: FeatureParams
     train: TrainParams
     hand_over: HandOverParams
+    confidence: ConfidenceParams
     cascade: CascadeParams
     analysis: AnalysisParams
 
@@ -329,6 +370,7 @@ class StudyParams(Params):
         estimators = self.evaluate.estimators
         _check_known("evaluate.groups", self.evaluate.groups, self.scenes.families)
         _check_known("hand_over.weighted.estimators", self.hand_over.weighted.estimators, estimators)
+        _check_known("confidence.estimators", self.confidence.estimators, estimators)
         _check_known("analysis.estimators", self.analysis.estimators, estimators)
 
 

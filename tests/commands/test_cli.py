@@ -20,15 +20,16 @@ from command_line import run_command as run
 from epiprior import ImageError, ModelError, Status
 from epiprior.io import read_matches
 from epiprior.presets import find_preset
+from epiprior.types import Geometry
 from pictures import relief_pair, save, texture
 from synthetic import make_estimate, make_matches
 from tiny_model import make_model
 
-KEYS = "status F support matches spread plausibility iterations estimator version input preset roll_deg seed"
+KEYS = "status confidence geometry F H support matches iterations estimator version input preset roll_deg seed"
 
 
 def estimate_of(status=Status.OK, message="", **changes):
-    known = {"iterations": 17, "seconds": {"estimator": 0.25}, "spread": 41, "plausibility": 0.875}
+    known = {"iterations": 17, "seconds": {"estimator": 0.25}, "confidence": 0.875, "geometry": Geometry.GENERAL}
     return make_estimate(PAIR, status, message=message, **(known | changes))
 
 
@@ -50,8 +51,14 @@ def test_estimate_as_json(library):
     printed = json.loads(result.stdout)
     assert list(printed) == [*KEYS.split(), "seconds", "message"]
     np.testing.assert_array_equal(printed["F"], PAIR.F)
-    wanted = {"status": "ok", "support": PAIR.right.sum(), "matches": len(PAIR.matches), "spread": 41, "seed": 5}
-    wanted |= {"plausibility": 0.875, "preset": "default", "seconds": {"estimator": 0.25}}
+    wanted = {
+        "status": "ok",
+        "support": PAIR.right.sum(),
+        "matches": len(PAIR.matches),
+        "geometry": "general",
+        "seed": 5,
+    }
+    wanted |= {"confidence": 0.875, "preset": "default", "seconds": {"estimator": 0.25}}
     assert {name: printed[name] for name in wanted} == wanted
     assert library.options() == {
         "images": (Path("a.jpg"), Path("b.jpg")),
@@ -79,15 +86,16 @@ def test_estimate_as_text(library):
     result = run("estimate", "a", "b", "--text")
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
-    about = f"usac: ok, support {PAIR.right.sum()} of {len(PAIR.matches)} matches"
-    assert lines[0] == f"{about} in 41 cells, plausibility 0.88"
-    np.testing.assert_allclose([[float(v) for v in line.split()] for line in lines[1:4]], PAIR.F, rtol=1e-9)
+    support = f"support {PAIR.right.sum()} of {len(PAIR.matches)} matches"
+    assert lines[0] == f"usac: ok, confidence 0.88, geometry general, {support}"
+    assert [line[0] for line in lines[1:4]] == ["F", " ", " "]
+    np.testing.assert_allclose([[float(v) for v in line[1:].split()] for line in lines[1:4]], PAIR.F, rtol=1e-9)
 
 
-def test_an_unknown_plausibility_is_null_and_left_out_of_the_text(library):
-    library.estimate = estimate_of(plausibility=float("nan"))
-    assert json.loads(run("estimate", "a", "b", "--json").stdout)["plausibility"] is None
-    assert "plausibility" not in run("estimate", "a", "b", "--text").stdout
+def test_an_unknown_confidence_is_null_and_left_out_of_the_text(library):
+    library.estimate = estimate_of(confidence=float("nan"))
+    assert json.loads(run("estimate", "a", "b", "--json").stdout)["confidence"] is None
+    assert "confidence" not in run("estimate", "a", "b", "--text").stdout
 
 
 @pytest.mark.parametrize("status", [Status.TOO_FEW_MATCHES, Status.NO_MODEL, Status.DEGENERATE])

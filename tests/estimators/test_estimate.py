@@ -12,8 +12,8 @@ from epiprior.estimators import fit as run_fit
 from epiprior.estimators.handover import HandOver
 from epiprior.estimators.run import estimate_from_matches
 from epiprior.geometry import sampson_distance
-from epiprior.types import FundamentalEstimate, MatchSet, Status
-from epiprior.verification.measures import camera_plausibility, spread_of
+from epiprior.types import FundamentalEstimate, Geometry, MatchSet, Status
+from epiprior.verification.degeneracy import homography_distance
 from synthetic import make_matches, make_pair, run
 
 PAPER = HandOver(one_to_one=True, top_k=300)
@@ -44,43 +44,37 @@ def test_one_set_as_handed_over_is_what_the_estimator_says():
     assert set(estimate.seconds) == {"estimator", "support"}
 
 
-def test_plausibility_is_of_the_raw_F_in_pixels_as_given():
+def test_the_images_in_the_other_order_give_the_transposed_answer():
+    for scene in ("relief", "plane"):
+        matches = replace(make_pair(scene=scene, seed=3).matches, image_sizes=SIZES, roll_deg=20.0)
+        for name in ("usac", "epiprior", "blogs"):
+            one, other = run(name, matches), run(name, matches.swapped())
+            assert (one.status, one.geometry, one.confidence) == (other.status, other.geometry, other.confidence)
+            assert np.array_equal(one.F, other.F.T)
+            assert np.array_equal(one.inliers, other.inliers)
+            assert (one.roll_deg, other.roll_deg) == (20.0, -20.0)
+
+
+def test_confidence_is_known_of_every_F_and_of_no_other():
     pair = make_pair()
-    known = replace(pair.matches, image_sizes=SIZES)
-    estimate = usac(known, HandOver())
-    assert estimate.raw_F is not None
-    assert estimate.plausibility == camera_plausibility(estimate.raw_F[None], SIZES)[0] > 0.95
-    # In images of three and two times the size F is another matrix, but of the same cameras.
-    (w1, h1), (w2, h2) = SIZES
-    large = replace(known, x1=3 * known.x1, x2=2 * known.x2, image_sizes=((3 * w1, 3 * h1), (2 * w2, 2 * h2)))
-    scaled = usac(large, HandOver(), pixel_factors=(3.0, 2.0))
-    assert scaled.raw_F is not None
-    assert scaled.plausibility == camera_plausibility(scaled.raw_F[None], large.image_sizes)[0]
-    assert scaled.plausibility == pytest.approx(estimate.plausibility, abs=0.01)
+    estimate = usac(replace(pair.matches, image_sizes=SIZES), HandOver())
+    assert estimate.geometry is Geometry.GENERAL
+    assert estimate.confidence > 0.5
+    assert estimate.H is None
+    few = run("usac", pair.matches.take(slice(5)))
+    assert (few.status, few.F, few.geometry) == (Status.TOO_FEW_MATCHES, None, Geometry.NONE)
+    assert math.isnan(few.confidence)
 
 
-def test_spread_is_counted_at_working_size():
-    pair = make_pair(inliers=150, outliers=100)
-    small = usac(pair.matches, HandOver())
-    assert small.spread == spread_of(small.x1[small.inliers], small.x2[small.inliers]) > 20
-    large = replace(pair.matches, x1=3 * pair.matches.x1, x2=2 * pair.matches.x2)
-    scaled = usac(large, HandOver(), pixel_factors=(3.0, 2.0))
-    assert scaled.spread == pytest.approx(small.spread, abs=2)
-    assert scaled.spread < 0.8 * spread_of(scaled.x1[scaled.inliers], scaled.x2[scaled.inliers])
-
-
-def test_without_inliers_nothing_is_covered_but_plausibility_is_known():
-    estimate = run("usac", replace(make_pair(scene="plane", seed=2).matches, image_sizes=SIZES))
-    assert estimate.F is None
-    assert estimate.spread == 0
-    assert 0 <= estimate.plausibility <= 1
-
-
-def test_plausibility_is_unknown_without_an_F_or_without_sizes():
-    pair = make_pair()
-    few = replace(pair.matches.take(slice(5)), image_sizes=SIZES)
-    for matches in (pair.matches, few):
-        assert math.isnan(run("usac", matches).plausibility)
+def test_what_confidence_is_asked_for_decides_the_status():
+    matches = replace(make_pair().matches, image_sizes=SIZES)
+    sure = usac(matches, HandOver())
+    assert usac(matches, HandOver(), min_confidence=sure.confidence).status is Status.OK
+    doubted = usac(matches, HandOver(), min_confidence=min(1.0, sure.confidence + 1e-9))
+    assert (doubted.status, doubted.geometry) == (Status.NO_MODEL, Geometry.NONE)
+    assert "no more agreement than between photographs of different places" in doubted.message
+    assert np.array_equal(doubted.F, sure.F)
+    assert doubted.support == sure.support
 
 
 @pytest.mark.parametrize("how", [PAPER, FULL], ids=["paper", "default"])
@@ -181,15 +175,18 @@ def test_a_plane_with_something_before_it_is_ok():
     assert usac(matches, PAPER).status is Status.OK
 
 
-def test_an_F_that_is_turned_down_is_handed_out_beside():
-    plane, relief = make_pair(scene="plane").matches, make_pair()
+def test_a_plane_gives_its_homography_and_F_all_the_same():
+    plane = replace(make_pair(scene="plane").matches, image_sizes=SIZES)
     estimate = run("usac", plane)
-    assert estimate.status is Status.DEGENERATE
-    assert np.linalg.norm(estimate.raw_F) == pytest.approx(1.0)
-    assert np.median(sampson_distance(estimate.raw_F, plane.x1, plane.x2)) < 2.0
-    found = usac(relief.matches, FULL, pixel_factors=(2.0, 3.0))
-    assert np.array_equal(found.raw_F, found.F)
-    assert usac(relief.matches.take(slice(5)), PAPER).raw_F is None
+    assert (estimate.status, estimate.geometry) == (Status.DEGENERATE, Geometry.PLANAR)
+    assert "one plane: F is not determined" in estimate.message
+    assert np.linalg.norm(estimate.F) == pytest.approx(1.0)
+    assert np.array_equal(estimate.inliers, homography_distance(estimate.H, plane.x1, plane.x2) < 4.0)
+    given = run_fit("usac", plane)
+    assert given.F is not None
+    scaled = replace(plane, x1=2 * plane.x1, x2=3 * plane.x2)
+    H = usac(scaled, HandOver(), pixel_factors=(2.0, 3.0)).H
+    assert homography_distance(H, scaled.x1, scaled.x2)[estimate.inliers].max() < 12.0
 
 
 def test_large_images_are_measured_at_working_size():

@@ -74,7 +74,7 @@ def test_unknown_and_missing_keys_are_named_with_their_section(file, section, lo
         ("hand_over.one_to_one", [1], r"\.0 = 1: Input should be a valid boolean$"),
         ("hand_over.threshold_px", [None], r"\.0 = None: Input should be a valid number"),
         ("hand_over.weighted.estimators", ["usax"], ": 'usax' is not among usac"),
-        ("cascade.min_plausibility", [1.5], r"\.0 = 1.5: Input should be less than or equal to 1"),
+        ("cascade.min_confidence", [1.5], r"\.0 = 1.5: Input should be less than or equal to 1"),
         ("evaluate.groups", ["facades-easy", "facades-hard", "open", "closed"], ": 'closed' is not among facades-easy"),
         ("evaluate.pairs", "data/scenes", " = 'data/scenes': expected {group} in it"),
         ("evaluate.inputs", ["raw"], r"\.0 = 'raw': Input should be 'standard', 'snn'"),

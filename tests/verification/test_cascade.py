@@ -12,34 +12,30 @@ from epiprior.verification.cascade import CascadeRule, find_cascade_rule, load_c
 from synthetic import HEIGHT, WIDTH, make_pair, run
 
 
-@pytest.mark.parametrize(("plausibility", "kept"), [(0.9, True), (0.89, False), (np.nan, False), (1.0, True)])
-def test_plausibility_decides_where_there_is_an_F(plausibility, kept):
-    rule = CascadeRule(min_plausibility=0.9)
-    assert rule.keeps_numbers("ok", plausibility) is kept
+@pytest.mark.parametrize(("confidence", "kept"), [(0.9, True), (0.89, False), (np.nan, False), (1.0, True)])
+def test_confidence_decides_where_there_is_an_F(confidence, kept):
+    rule = CascadeRule(min_confidence=0.9)
+    assert rule.keeps_numbers("ok", confidence) is kept
     for status in set(Status) - {Status.OK}:
-        assert not rule.keeps_numbers(status, plausibility)
-
-
-def test_an_unknown_plausibility_does_where_none_is_asked_for():
-    assert CascadeRule(min_plausibility=0.0).keeps_numbers("ok", np.nan)
+        assert not rule.keeps_numbers(status, confidence)
 
 
 def test_an_estimate_is_judged_by_its_own_numbers():
     pair = make_pair(inliers=200, outliers=100)
     found = run("usac", replace(pair.matches, image_sizes=((WIDTH, HEIGHT), (WIDTH, HEIGHT))))
-    assert CascadeRule(min_plausibility=found.plausibility).keeps(found)
-    assert not CascadeRule(min_plausibility=found.plausibility + 1e-6).keeps(found)
-    assert not CascadeRule(min_plausibility=0).keeps(replace(found, status=Status.DEGENERATE))
+    assert CascadeRule(min_confidence=found.confidence).keeps(found)
+    assert not CascadeRule(min_confidence=found.confidence + 1e-6).keeps(found)
+    assert not CascadeRule(min_confidence=0).keeps(replace(found, status=Status.DEGENERATE))
 
 
 @pytest.mark.parametrize("bad", [-0.1, 1.1, np.nan, None, True, "0.9"])
 def test_a_value_out_of_range_is_named(bad):
-    with pytest.raises(SettingsError, match="min_plausibility"):
-        CascadeRule(min_plausibility=bad)
+    with pytest.raises(SettingsError, match="min_confidence"):
+        CascadeRule(min_confidence=bad)
 
 
 def test_file_round_trip_is_exact(tmp_path):
-    rule = CascadeRule(min_plausibility=0.35)
+    rule = CascadeRule(min_confidence=0.35)
     save_cascade_rule(tmp_path / "a.json", rule)
     assert load_cascade_rule(tmp_path / "a.json") == rule
 
@@ -47,8 +43,8 @@ def test_file_round_trip_is_exact(tmp_path):
 @pytest.mark.parametrize(
     ("content", "culprit"),
     [
-        ({"min_plausibility": 0.5, "min_spread": 3}, "unknown min_spread; known: min_plausibility"),
-        ({"min_plausibility": "0.5"}, "min_plausibility is '0.5'"),
+        ({"min_confidence": 0.5, "min_spread": 3}, "unknown min_spread; known: min_confidence"),
+        ({"min_confidence": "0.5"}, "min_confidence is '0.5'"),
         ([], "the file is list"),
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import binom
 
 from epiprior.geometry import sampson_distance
-from epiprior.verification.chance import HYPOTHESES, beyond_chance, chance_rate, distinct_count, expected_by_chance
+from epiprior.verification.chance import HYPOTHESES, chance_rate, distinct_count, expected_by_chance, log_chance
 from synthetic import make_pair
 
 
@@ -45,23 +45,25 @@ def test_rate_of_next_to_nothing_is_cautious():
     assert chance_rate(F, np.zeros((1, 2)), np.zeros((1, 2)), 1.5) == 1.0
 
 
-def test_beyond_chance_is_the_binomial_law():
+def test_log_chance_is_the_binomial_law():
     """With 93 free matches of 100 and a rate of 0.5 %, 6 free supporters are the first that count."""
-    assert 1e5 * binom.sf(5, 93, 0.005) < 1 < 1e5 * binom.sf(4, 93, 0.005)
-    assert beyond_chance(13, 100, 0.005, fitted=7)
-    assert not beyond_chance(12, 100, 0.005, fitted=7)
-    assert not beyond_chance(100, 100, 1.0, fitted=7)
+    for supporters, free in ((13, 5), (12, 4)):
+        wanted = 5 + math.log10(binom.sf(free, 93, 0.005))
+        assert log_chance(supporters, 100, 0.005, fitted=7) == pytest.approx(wanted)
+    assert log_chance(13, 100, 0.005, fitted=7) < 0 < log_chance(12, 100, 0.005, fitted=7)
+    assert log_chance(100, 100, 1.0, fitted=7) == pytest.approx(5)
+    assert log_chance(1000, 1000, 1e-6, fitted=7) == pytest.approx(-295)
 
 
-def test_beyond_chance_counts_no_more_hypotheses_than_there_are():
+def test_log_chance_counts_no_more_hypotheses_than_there_are():
     """Eight of eight: only eight samples exist, so one free supporter says something."""
-    assert beyond_chance(8, 8, 0.01, fitted=7)
-    assert not beyond_chance(8, 100, 0.01, fitted=7)
+    assert log_chance(8, 8, 0.01, fitted=7) == pytest.approx(math.log10(8 * 0.01))
+    assert log_chance(8, 100, 0.01, fitted=7) > 0
 
 
 @pytest.mark.parametrize(("supporters", "matches"), [(0, 0), (7, 7), (7, 100), (2, 5)])
 def test_what_the_sample_explains_anyway_is_chance(supporters, matches):
-    assert not beyond_chance(supporters, matches, 1e-6, fitted=7)
+    assert log_chance(supporters, matches, 1e-6, fitted=7) >= 0
 
 
 def test_rates_of_their_own_follow_the_law_of_their_sum():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from epiprior.geometry import eight_point
-from epiprior.verification.measures import CELL_PX, FOCAL_LENGTHS, camera_plausibility, spread_groups, spread_of
+from epiprior.verification.measures import FOCAL_LENGTHS, camera_plausibility, spread_groups
 from synthetic import rotation, skew
 
 SIZES = ((1024, 768), (1024, 768))
@@ -72,25 +72,6 @@ def test_without_sizes_nothing_is_known():
     assert camera_plausibility(np.empty((0, 3, 3)), SIZES).shape == (0,)
     assert camera_plausibility(np.zeros((1, 3, 3)), SIZES) == [0.0]
     assert camera_plausibility(1e-160 * models, SIZES).shape == (3,)  # squares that underflow are no error
-
-
-def naive_spread(x1, x2):
-    return min(len({(int(x // CELL_PX), int(y // CELL_PX)) for x, y in points}) for points in (x1, x2))
-
-
-@pytest.mark.parametrize("n", [1, 7, 300])
-def test_cells_are_counted_once(n):
-    rng = np.random.default_rng(n)
-    x1, x2 = rng.uniform(-1, 700, (n, 2)), rng.uniform(0, 400, (n, 2))
-    assert spread_of(x1, x2) == naive_spread(x1, x2) == spread_of(x2, x1)
-    assert spread_of(x1, x2) <= n
-
-
-def test_the_image_that_is_covered_less_counts():
-    wide = np.column_stack([np.arange(10) * 100.0, np.zeros(10)])
-    close = np.column_stack([np.arange(10) * 5.0, np.zeros(10)])  # from 0 to 45: one cell
-    assert (spread_of(wide, wide), spread_of(wide, close), spread_of(close, wide)) == (10, 1, 1)
-    assert spread_of(np.empty((0, 2)), np.empty((0, 2))) == 0
 
 
 def test_groups_are_parts_of_both_images():

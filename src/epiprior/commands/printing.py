@@ -82,33 +82,34 @@ def entries(value: Any, name: str = "") -> list[tuple[str, str]]:
 
 def summary(found: FundamentalEstimate) -> str:
     """Return an estimate in one line."""
-    support = f"{found.estimator}: {found.status.value}, support {found.support} of {len(found.x1)} matches"
-    if found.support:
-        support += f" in {found.spread} cells"
-    if math.isfinite(found.plausibility):
-        support += f", plausibility {found.plausibility:.2f}"
+    sure = f", confidence {found.confidence:.2f}" if math.isfinite(found.confidence) else ""
+    kind = f"geometry {found.geometry.value}"
+    support = (
+        f"{found.estimator}: {found.status.value}{sure}, {kind}, support {found.support} of {len(found.x1)} matches"
+    )
     return f"{support}; {found.message}" if found.message else support
 
 
 def print_estimate(found: FundamentalEstimate) -> None:
     """Print an estimate for people."""
     say(summary(found))
-    if found.F is not None:
-        for row in found.F.tolist():
-            say("  ".join(f"{value: .9e}" for value in row))
+    for name, matrix in (("F", found.F), ("H", found.H)):
+        for k, row in enumerate([] if matrix is None else matrix.tolist()):
+            say(f"{' ' if k else name}  " + "  ".join(f"{value: .9e}" for value in row))
     matches = f"{found.input} matches; " if found.input else ""
     say(f"{matches}roll {found.roll_deg:.0f} deg; {found.version}; {sum(found.seconds.values()):.2f} s")
 
 
 def estimate_as_json(found: FundamentalEstimate, preset: str, seed: int) -> dict[str, Any]:
-    """Return an estimate as JSON's types; null are a preset that ranked nothing and an unknown plausibility."""
+    """Return an estimate as JSON's types; null are a preset that ranked nothing and an unknown confidence."""
     return {
         "status": found.status.value,
+        "confidence": float(found.confidence),
+        "geometry": found.geometry.value,
         "F": None if found.F is None else found.F.tolist(),
+        "H": None if found.H is None else found.H.tolist(),
         "support": int(found.support),
         "matches": len(found.x1),
-        "spread": int(found.spread),
-        "plausibility": float(found.plausibility),
         "iterations": None if found.iterations is None else int(found.iterations),
         "estimator": found.estimator,
         "version": found.version,

@@ -94,7 +94,7 @@ def draw_matches(
         draw_label(width, f"{len(best)} best matches, coloured by {scale_name}"),
         _draw_match_row(panels, shape, best, scores),
     ]
-    if estimate is not None and estimate.F is not None and settings.epipolar_lines:
+    if estimate and estimate.F is not None and settings.epipolar_lines:
         chosen = np.flatnonzero(estimate.inliers)
         chosen = chosen[_spread(estimate.x1[chosen], settings.epipolar_lines)]
         rows += [

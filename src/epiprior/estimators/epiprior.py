@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.estimators.evidence import Evidence, match_weights, prior_probability
+from epiprior.estimators.evidence import Evidence
 from epiprior.estimators.proposals import oriented_pairs, plane_and_parallax, progressive_rows
 from epiprior.estimators.protocol import EstimatorSettings, PartOfEpiprior, RawModel
 from epiprior.geometry import MIN_MATCHES, as_columns, sampson_distance
@@ -13,7 +13,7 @@ from epiprior.kernels.local_steps import climb, refine_models
 from epiprior.kernels.samples import generator_state
 from epiprior.kernels.solvers import fit_samples
 from epiprior.types import BoolArray, FloatArray, MatchSet
-from epiprior.verification.measures import camera_plausibility, spread_groups
+from epiprior.verification.measures import camera_plausibility, match_weights, prior_probability, spread_groups
 
 # Thresholds in units of the inlier threshold: 1.5 px give 10, 8, 6, 4, 3, 2, 2, 1.5, 1.5.
 _SHRINKING = np.array([20 / 3, 16 / 3, 4.0, 8 / 3, 2.0, 4 / 3, 4 / 3, 1.0, 1.0])

@@ -11,10 +11,7 @@ import numpy as np
 from epiprior.geometry import SCORE_THRESHOLD_PX, as_columns, centred_columns
 from epiprior.kernels.scores import score_models
 from epiprior.types import FloatArray, IntArray, MatchSet
-from epiprior.verification.measures import camera_plausibility, spread_groups
-
-CHANCE = 0.02
-WITHOUT_RATIO = 0.5
+from epiprior.verification.measures import camera_plausibility, match_weights, prior_probability, spread_groups
 
 
 class Evidence:
@@ -50,25 +47,3 @@ def spread_evidence(F: FloatArray, matches: MatchSet, threshold_px: float = SCOR
     weights = match_weights(single, prior_probability(single))
     evidence = Evidence(single.x1, single.x2, weights, spread_groups(single.x1, single.x2))
     return float(evidence.scores(F[None], threshold_px)[0] * camera_plausibility(F[None], single.image_sizes)[0])
-
-
-def match_weights(matches: MatchSet, probability: FloatArray) -> FloatArray:
-    """Return what each match is worth: the log of how much likelier it makes an F that it agrees with.
-
-    A match of probability p agrees with a wrong F at the rate of chance c, here 0.02: ``log(1 + p / ((1 - p) c))``.
-    Matches without a distance ratio, which only clusters propose, count half: what speaks for them are mostly the votes
-    of the rough matrices, and these would be heard twice.
-    """
-    p = np.clip(probability, 0.0, 1.0 - 1e-6)
-    worth = np.log1p(p / ((1.0 - p) * CHANCE))
-    return np.where(matches.distance_ratio < 1.0, worth, WITHOUT_RATIO * worth)
-
-
-def prior_probability(matches: MatchSet) -> FloatArray:
-    """Return the probability of each match; where it has none, one from its distance ratio.
-
-    The ratio's log odds are a line, fitted by eye to matches of rendered scenes: even odds at a ratio of 0.65.
-    """
-    known = matches.probability
-    guessed = 1.0 / (1.0 + np.exp(13.0 * (matches.distance_ratio - 0.65)))
-    return np.clip(np.where(np.isnan(known), guessed, known), 0.0, 1.0)

@@ -1,4 +1,8 @@
-"""From matches to F: roll hypotheses, hand-over, refinement, support, status (paper, section 4.7)."""
+"""From matches to F: roll hypotheses, hand-over, refinement, support, confidence (paper, section 4.7).
+
+The two images are always taken in one order, whichever they are given in, and the answer is turned back: it is then the
+same, F transposed. Estimators draw samples and break ties by the order of numbers, so they would differ else.
+"""
 
 import time
 from collections.abc import Sequence
@@ -11,25 +15,36 @@ from epiprior.estimators.evidence import spread_evidence
 from epiprior.estimators.handover import HandOver, hand_over
 from epiprior.estimators.protocol import EstimatorSettings
 from epiprior.estimators.registry import Fit, fit
-from epiprior.geometry import normalise_fundamental, refine_fundamental, sampson_distance
-from epiprior.types import FloatArray, FundamentalEstimate, MatchSet, Status
-from epiprior.verification.chance import chance_rate
-from epiprior.verification.judge import judge
-from epiprior.verification.measures import known_plausibility, spread_of
+from epiprior.geometry import MIN_MATCHES, normalise_fundamental, refine_fundamental, sampson_distance
+from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, Geometry, MatchSet, Status
+from epiprior.verification import degeneracy
+from epiprior.verification.chance import chance_rate, distinct_count
+from epiprior.verification.confidence import Verdict, judge, load_confidence, message_of
+from epiprior.verification.facts import Facts, chance_of_homography, describe_estimate
 
 Factors = tuple[float, float]
+_SURE_BY_CHANCE = -3.0  # of a homography without an F: expected once in a thousand pairs by chance,
+_MOST = 0.5  # and most of the matches lie on it
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Hypothesis:
-    """The outcome of one roll hypothesis: F and what supports it."""
+    """The outcome of one roll hypothesis, in working pixels: F and what supports it."""
 
     found: Fit
+    matches: MatchSet
     handed: MatchSet
     collected: MatchSet
     F: FloatArray | None = None
     score: float = -1.0
-    roll_deg: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Described:
+    """F in given pixels, None if there is none, and the facts that its confidence is learnt from."""
+
+    F: FloatArray | None
+    facts: Facts | None
 
 
 def estimate_from_matches(
@@ -40,65 +55,103 @@ def estimate_from_matches(
     hand_over: HandOver,
     settings: EstimatorSettings | None = None,
     pixel_factors: Factors = (1.0, 1.0),
+    min_confidence: float | None = None,
 ) -> FundamentalEstimate:
     """Run an estimator on each of the sets, one per roll hypothesis, and return the best supported F.
 
     Each set is sorted best first; standard matches are a single set. Thresholds are meant in working pixels:
     `pixel_factors` are given pixels per working pixel in both images. `settings` replaces the estimator's own with the
-    threshold of `hand_over`. `iterations` of the result adds up over the sets. Raises what `epiprior.estimators.fit`
-    raises, and SettingsError without any set.
+    threshold of `hand_over`, and `min_confidence` the confidence from which on the status is ``ok``. `iterations` of
+    the result adds up over the sets. Raises what `epiprior.estimators.fit` and `load_confidence` raise, and
+    SettingsError without any set.
 
     Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F decides,
     each weighted by its probability and each part of the images once, times the plausibility of the cameras
     (`epiprior.estimators.evidence`). A thousand improbable matches then weigh less than fifty good ones.
     """
-    if not sets:
-        raise SettingsError("no set of matches was given")
     options = settings or EstimatorSettings(threshold_px=hand_over.threshold_px)
     start = time.perf_counter()
-    tried = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
-    best = max(tried, key=lambda hypothesis: hypothesis.score)
-    status, message = _status(tried, best, options.threshold_px)
-    collected, raw_F = best.collected, None if best.F is None else _to_given_pixels(best.F, pixel_factors)
-    inliers = np.zeros(len(collected), dtype=np.bool_)
-    if best.F is not None and status is Status.OK:
-        inliers = sampson_distance(best.F, collected.x1, collected.x2) < options.threshold_px
-    given = _scale(collected, *pixel_factors)
+    tried, best, factors, turned = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
+    px, collected = options.threshold_px, best.collected
+    H, kind = _homography(best, px)
+    if best.F is None:
+        verdict = _without_fundamental(tried, best, kind)
+    else:
+        verdict = judge(_facts(tried, best, H, px), kind, load_confidence(), min_confidence)
+    flat = verdict.geometry not in (Geometry.GENERAL, Geometry.NONE)
+    inliers = np.zeros(len(collected), np.bool_)
+    if flat and H is not None:
+        inliers = _on_homography(H, collected, px)
+    elif best.F is not None:
+        inliers = sampson_distance(best.F, collected.x1, collected.x2) < px
     drawn = [hypothesis.found.iterations for hypothesis in tried]
     running = sum(hypothesis.found.seconds for hypothesis in tried)
-    return FundamentalEstimate(
-        status=status,
-        F=raw_F if status is Status.OK else None,
-        raw_F=raw_F,
-        x1=given.x1,
-        x2=given.x2,
+    estimate = FundamentalEstimate(
+        status=verdict.status,
+        F=None if best.F is None else _to_given_pixels(best.F, factors),
+        x1=collected.x1 * factors[0],
+        x2=collected.x2 * factors[1],
         inliers=inliers,
         support=int(inliers.sum()),
+        confidence=verdict.confidence,
+        geometry=verdict.geometry,
+        H=_homography_in_given_pixels(H, factors) if flat and H is not None else None,
         iterations=sum(n for n in drawn if n is not None) if any(n is not None for n in drawn) else None,
         estimator=estimator,
         version=best.found.version,
-        roll_deg=best.roll_deg,
-        message=message,
+        roll_deg=best.matches.roll_deg,
+        message=verdict.message,
         seconds={"estimator": running, "support": time.perf_counter() - start - running},
-        spread=spread_of(collected.x1[inliers], collected.x2[inliers]),
-        plausibility=known_plausibility(raw_F, given.image_sizes),
     )
+    return estimate.swapped() if turned else estimate
+
+
+def describe_from_matches(
+    sets: Sequence[MatchSet], *, estimator: str, seed: int = 0, hand_over: HandOver, pixel_factors: Factors = (1.0, 1.0)
+) -> Described:
+    """Return F of `estimate_from_matches` for the same arguments and its facts, without what is learnt from them."""
+    options = EstimatorSettings(threshold_px=hand_over.threshold_px)
+    tried, best, factors, turned = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
+    if best.F is None:
+        return Described(F=None, facts=None)
+    H, _ = _homography(best, options.threshold_px)
+    F = _to_given_pixels(best.F, factors)
+    facts = _facts(tried, best, H, options.threshold_px)
+    return Described(F=F.T if turned and F is not None else F, facts=facts)
 
 
 def best_fundamental(
     sets: Sequence[MatchSet], *, estimator: str, seed: int = 0, hand_over: HandOver, pixel_factors: Factors = (1.0, 1.0)
 ) -> FloatArray | None:
-    """Return `raw_F` of `estimate_from_matches` for the same arguments, in about half the time: nothing is verified."""
+    """Return F of `estimate_from_matches` for the same arguments, in about half the time: nothing is verified."""
     options = EstimatorSettings(threshold_px=hand_over.threshold_px)
-    tried = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
-    best = max(tried, key=lambda hypothesis: hypothesis.score)
-    return None if best.F is None else _to_given_pixels(best.F, pixel_factors)
+    _, best, factors, turned = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
+    F = None if best.F is None else _to_given_pixels(best.F, factors)
+    return F.T if turned and F is not None else F
+
+
+def _in_order(sets: Sequence[MatchSet], factors: Factors) -> tuple[Sequence[MatchSet], Factors, bool]:
+    """Return sets and factors with the images in the order that the matches decide, and whether that is the other."""
+    if not sets:
+        raise SettingsError("no set of matches was given")
+    for matches in sets:
+        x1, x2 = (matches.x1 / factors[0]).reshape(-1), (matches.x2 / factors[1]).reshape(-1)
+        unlike = np.flatnonzero(x1 != x2)
+        if len(unlike):
+            if x1[unlike[0]] < x2[unlike[0]]:
+                break
+            return [one.swapped() for one in sets], (factors[1], factors[0]), True
+    return sets, factors, False
 
 
 def _try_all(
     sets: Sequence[MatchSet], estimator: str, seed: int, how: HandOver, options: EstimatorSettings, factors: Factors
-) -> list[_Hypothesis]:
-    return [_try(_scale(matches, 1 / factors[0], 1 / factors[1]), estimator, seed, how, options) for matches in sets]
+) -> tuple[list[_Hypothesis], _Hypothesis, Factors, bool]:
+    """Return all hypotheses, the best, and the factors of the images in our order; last, whether it is the other."""
+    sets, factors, turned = _in_order(sets, factors)
+    scaled = (_scale(matches, 1 / factors[0], 1 / factors[1]) for matches in sets)
+    tried = [_try(matches, estimator, seed, how, options) for matches in scaled]
+    return tried, max(tried, key=lambda hypothesis: hypothesis.score), factors, turned
 
 
 def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:
@@ -131,9 +184,9 @@ def _try(matches: MatchSet, estimator: str, seed: int, how: HandOver, settings: 
     """Hand over, estimate, collect, refine, score: one roll hypothesis."""
     handed = hand_over(matches, how)
     found = fit(estimator, handed, seed=seed, settings=settings)
-    F, roll_deg = found.F, matches.roll_deg
+    F = found.F
     if F is None:
-        return _Hypothesis(found=found, handed=handed, collected=handed, roll_deg=roll_deg)
+        return _Hypothesis(found=found, matches=matches, handed=handed, collected=handed)
     wide = matches.one_to_one() if how.collect else handed
     weights = np.nan_to_num(wide.probability, nan=1.0)
     if how.refine:
@@ -145,17 +198,50 @@ def _try(matches: MatchSet, estimator: str, seed: int, how: HandOver, settings: 
         wide = wide.take(weights > rate * (1.0 - weights))
     else:
         score = float(np.count_nonzero(sampson_distance(F, wide.x1, wide.x2) < settings.threshold_px))
-    return _Hypothesis(found=found, handed=handed, collected=wide, F=F, score=score, roll_deg=roll_deg)
+    return _Hypothesis(found=found, matches=matches, handed=handed, collected=wide, F=F, score=score)
 
 
-def _status(tried: Sequence[_Hypothesis], best: _Hypothesis, threshold_px: float) -> tuple[Status, str]:
-    """Judge F on what was handed over, and where that does not suffice, on what was collected."""
+def _homography(best: _Hypothesis, px: float) -> tuple[FloatArray | None, Geometry | None]:
+    """Return the best homography of the supporters of F, without F of all matches, and its kind."""
+    x1, x2 = best.collected.x1, best.collected.x2
+    if best.F is not None:
+        near = sampson_distance(best.F, x1, x2) < px
+        x1, x2 = x1[near], x2[near]
+    H = degeneracy.fit_homography(x1, x2, degeneracy.PLANE_FACTOR * px)
+    if H is None:
+        return None, None
+    on = _on_homography(H, best.collected, px)
+    sizes = best.collected.image_sizes
     if best.F is None:
-        # An estimator that found nothing says more than one that was not even started.
-        telling = next((h.found for h in tried if h.found.status is Status.NO_MODEL), best.found)
-        return telling.status, telling.message
-    status, message = judge(best.F, best.handed.x1, best.handed.x2, threshold_px)
-    if status is Status.OK or best.collected is best.handed:
-        return status, message
-    wider = judge(best.F, best.collected.x1, best.collected.x2, threshold_px)
-    return wider if wider[0] is Status.OK else (status, message)
+        x1, x2 = best.collected.x1, best.collected.x2
+        enough = distinct_count(x1[on], x2[on]) >= max(MIN_MATCHES, _MOST * distinct_count(x1, x2))
+        if not enough or chance_of_homography(x1[on], x2[on], x1, x2, px) > _SURE_BY_CHANCE:
+            return None, None
+    if not on.any():
+        return None, None
+    return H, degeneracy.kind_of_homography(H, best.collected.x1[on], best.collected.x2[on], sizes)
+
+
+def _on_homography(H: FloatArray, matches: MatchSet, px: float) -> BoolArray:
+    distance = degeneracy.homography_distance(H, matches.x1, matches.x2)
+    return np.asarray(distance < degeneracy.PLANE_FACTOR * px)
+
+
+def _homography_in_given_pixels(H: FloatArray, factors: Factors) -> FloatArray:
+    given = np.diag([factors[1], factors[1], 1.0]) @ H @ np.diag([1 / factors[0], 1 / factors[0], 1.0])
+    return np.asarray(given / np.linalg.norm(given))
+
+
+def _facts(tried: Sequence[_Hypothesis], best: _Hypothesis, H: FloatArray | None, px: float) -> Facts:
+    assert best.F is not None
+    others = tuple(h.F for h in tried if h is not best and h.F is not None)
+    return describe_estimate(best.F, H, best.matches, best.handed, best.collected, px, others=others)
+
+
+def _without_fundamental(tried: Sequence[_Hypothesis], best: _Hypothesis, kind: Geometry | None) -> Verdict:
+    if kind is not None:
+        message = message_of(kind)
+        return Verdict(status=Status.DEGENERATE, geometry=kind, confidence=np.nan, message=message)
+    # An estimator that found nothing says more than one that was not even started.
+    telling = next((h.found for h in tried if h.found.status is Status.NO_MODEL), best.found)
+    return Verdict(status=telling.status, geometry=Geometry.NONE, confidence=np.nan, message=telling.message)

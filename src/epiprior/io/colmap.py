@@ -19,16 +19,18 @@ from epiprior.errors import ImageError, OutputError
 from epiprior.features.images import read_image
 from epiprior.io.output import check_output, replacing
 from epiprior.kernels.one_to_one import one_to_one_mask
-from epiprior.types import FloatArray, FundamentalEstimate, IntArray
+from epiprior.types import FloatArray, FundamentalEstimate, Geometry, IntArray
 
 _HALF_PIXEL = 0.5  # COLMAP has the centre of the top-left pixel there
+_TO_OURS = np.array([[1.0, 0.0, -_HALF_PIXEL], [0.0, 1.0, -_HALF_PIXEL], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColmapPair:
     """Two different image files and what was estimated for them.
 
-    The matches of the estimate are written; its F and inliers too where its status is ``ok``.
+    The matches of the estimate are written; its F and inliers too where its status is ``ok``, and where a homography
+    relates the images that and its inliers, as COLMAP does with planes and turning cameras.
     """
 
     image1: Path
@@ -178,16 +180,24 @@ def _write_pair(
     if not len(matches):
         return
     database.write_matches(*ids, matches)
-    if estimate.F is None:
+    geometry, kinds = pycolmap.TwoViewGeometry(), pycolmap.TwoViewGeometryConfiguration
+    if estimate and estimate.F is not None:
+        geometry.config, geometry.F = kinds.UNCALIBRATED, fundamental_for_colmap(estimate.F)
+    elif estimate.H is not None:
+        planar = estimate.geometry is Geometry.PLANAR
+        geometry.config = kinds.PLANAR if planar else kinds.PLANAR_OR_PANORAMIC
+        geometry.H = homography_for_colmap(estimate.H)
+    else:
         return
-    geometry = pycolmap.TwoViewGeometry()
-    geometry.config = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
-    geometry.F = fundamental_for_colmap(estimate.F)
     geometry.inlier_matches = matches[: np.count_nonzero(estimate.inliers[order])]
     database.write_two_view_geometry(*ids, geometry)
 
 
 def fundamental_for_colmap(F: FloatArray) -> FloatArray:
     """Return `F`, shape (3, 3), for points half a pixel further right and down: COLMAP's pixels."""
-    T = np.array([[1.0, 0.0, -_HALF_PIXEL], [0.0, 1.0, -_HALF_PIXEL], [0.0, 0.0, 1.0]])
-    return np.asarray(T.T @ F @ T)
+    return np.asarray(_TO_OURS.T @ F @ _TO_OURS)
+
+
+def homography_for_colmap(H: FloatArray) -> FloatArray:
+    """Return `H`, shape (3, 3), for points half a pixel further right and down: COLMAP's pixels."""
+    return np.asarray(np.linalg.inv(_TO_OURS) @ H @ _TO_OURS)

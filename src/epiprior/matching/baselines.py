@@ -19,7 +19,7 @@ def _unranked(prepared: PreparedPair, rows: IntArray, to: IntArray, similarity: 
     f1, f2 = prepared.features
     nearest = prepared.forward.nearest[rows] == to
     weights = similarity_weights(prepared.forward, prepared.backward)
-    return MatchSet(
+    matches = MatchSet(
         x1=f1.xy[rows],
         x2=f2.xy[to],
         scale1=f1.scale[rows],
@@ -36,6 +36,7 @@ def _unranked(prepared: PreparedPair, rows: IntArray, to: IntArray, similarity: 
         two_keypoint_probability=np.zeros(len(rows)),
         image_sizes=(f1.image_size, f2.image_size),
     )
+    return prepared.as_given(matches)
 
 
 def _nearest(prepared: PreparedPair, rows: IntArray) -> MatchSet:
@@ -73,7 +74,8 @@ def standard_matches(
         Used instead of detected ones, descriptors as SIFT gives them; `features` says how they are normalised.
     """
     settings = replace(PAPER, features=features, max_distance_ratio=max_distance_ratio)
-    return standard_set(prepare_pair(image1, image2, settings, features1=features1, features2=features2), settings)
+    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, ordered=True)
+    return standard_set(prepared, settings)
 
 
 def snn_matches(
@@ -90,7 +92,7 @@ def snn_matches(
     distances of the descriptors, as users of this baseline compute it.
     """
     settings = replace(DEFAULT, features=FeatureSettings(root=True, centred=False))
-    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
+    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, ordered=True)
     forward = prepared.forward
     distance, distance2 = (np.sqrt(np.maximum(2 - 2 * s.astype(np.float64), 0)) for s in (forward.best, forward.second))
     ratio = np.divide(distance, distance2, out=np.ones_like(distance), where=distance2 > 0)
@@ -140,7 +142,7 @@ def generalized_matches(
     if not 0 < right_share < 1:
         raise SettingsError(f"right_share is {right_share}, expected a number between 0 and 1")
     settings = replace(PAPER, features=features)
-    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2)
+    prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, ordered=True)
     rows, to, similarity = _candidates(*prepared.descriptors, ncc_threshold, max_candidates)
     found = _unranked(prepared, rows, to, similarity)
     rivals1, rivals2 = (np.bincount(f, minlength=1)[f] for f in (found.feature1, found.feature2))

@@ -1,5 +1,6 @@
 """Steps 1 to 3a on a pair: features, standard matches, roll hypotheses (paper, sections 4.1 and 4.2)."""
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -17,7 +18,7 @@ from epiprior.features.locations import Locations, locate
 from epiprior.matching.roll import expected_roll, orientation_differences
 from epiprior.matching.standard import Neighbours, StandardTable, mutual_mask, nearest_neighbours, standard_table
 from epiprior.presets import DEFAULT, PreprocessSettings
-from epiprior.types import Features, Float32Array, FloatArray
+from epiprior.types import Features, Float32Array, FloatArray, MatchSet
 
 _T = TypeVar("_T")
 
@@ -57,6 +58,11 @@ class PreparedPair:
     forward: Neighbours  # of the features of image 1 in image 2
     backward: Neighbours  # of the features of image 2 in image 1
     table: StandardTable  # X_L and X_B by location
+    turned: bool = False  # image 1 here is image 2 as given
+
+    def as_given(self, matches: MatchSet) -> MatchSet:
+        """Return matches of this pair with the images in the order as given."""
+        return matches.swapped() if self.turned else matches
 
 
 def prepare_pair(
@@ -67,12 +73,14 @@ def prepare_pair(
     features1: Features | None = None,
     features2: Features | None = None,
     watch: Stopwatch | None = None,
+    ordered: bool = False,
 ) -> PreparedPair:
     """Find features and standard matches (section 4.1); ImageError and FeatureError name the image they are about.
 
     An image may be None only where features (pixels of the image as given) are handed in; then their own descriptors
     also serve where the method asks for descriptors at a fixed orientation, and repeated corners are told apart less
-    well. `watch` takes the seconds of the steps.
+    well. `watch` takes the seconds of the steps. Where `ordered`, the images are taken in an order that their features
+    decide, so that the matches are the same whichever is given first.
     """
     watch = watch or Stopwatch()
     limit, how = settings.features.max_image_size, settings.features
@@ -101,6 +109,9 @@ def prepare_pair(
         raise FeatureError(
             f"descriptors have {own1.descriptors.shape[1]} and {own2.descriptors.shape[1]} entries, expected the same"
         )
+    turned = ordered and _key(own1) > _key(own2)
+    if turned:
+        photo1, own1, photo2, own2 = photo2, own2, photo1, own1
     with watch.step("standard matches"):
         d1, d2 = (normalise_descriptors(f.descriptors, root=how.root, centred=how.centred) for f in (own1, own2))
         forward, backward = nearest_neighbours(d1, d2)
@@ -118,7 +129,12 @@ def prepare_pair(
         forward=forward,
         backward=backward,
         table=table,
+        turned=turned,
     )
+
+
+def _key(features: Features) -> bytes:
+    return hashlib.blake2b(features.xy.tobytes() + features.scale.tobytes()).digest()
 
 
 def roll_hypotheses(prepared: PreparedPair, settings: PreprocessSettings = DEFAULT) -> tuple[float, ...]:

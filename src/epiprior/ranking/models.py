@@ -8,7 +8,7 @@ nothing of the folder; a folder that differs from its manifest is refused.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,8 @@ from epiprior.errors import FeatureError, ModelError
 from epiprior.types import Float32Array, FloatArray
 
 SCHEMA_VERSION = 1
-TARGETS = ("two_keypoint", "match", "second_round")  # the last is optional
+TARGETS = ("two_keypoint", "match", "second_round")
+OPTIONAL = ("second_round",)
 CARD = "README.md"
 MANIFEST = "manifest.json"
 
@@ -143,6 +144,15 @@ def load_model(name_or_path: str | Path) -> RankingModel:
     """
     is_name = isinstance(name_or_path, str) and not any(slash in name_or_path for slash in "/\\")
     folder = find_model(str(name_or_path)) if is_name else Path(name_or_path)
+    manifest, classifiers = read_classifiers(folder, TARGETS)
+    return RankingModel(_entry(manifest, folder / MANIFEST, str, "name"), manifest, *classifiers)
+
+
+def read_classifiers(folder: Path, targets: Sequence[str]) -> tuple[dict[str, Any], list[Classifier]]:
+    """Return the manifest of a folder and its classifiers, in the order of `targets`; raises as `load_model`.
+
+    A target of `OPTIONAL` that the manifest does not name is left out.
+    """
     if not folder.is_dir():
         raise ModelError(f"{folder}: no such folder")
     path = folder / MANIFEST
@@ -154,16 +164,15 @@ def load_model(name_or_path: str | Path) -> RankingModel:
     version = manifest.get("schema_version") if isinstance(manifest, dict) else None
     if version != SCHEMA_VERSION:
         raise ModelError(f"{path}: schema_version is {version!r}, this epiprior reads {SCHEMA_VERSION}")
+    targets = [target for target in targets if target not in OPTIONAL or target in manifest]
     contents = {}
-    targets = [target for target in TARGETS if target != "second_round" or target in manifest]
     for file in (*(f"{target}.onnx" for target in targets), CARD):
         expected = _entry(manifest, path, str, "files", file)
         contents[file] = _read(folder / file)
         found = hashlib.sha256(contents[file]).hexdigest()
         if found != expected:
             raise ModelError(f"{folder / file}: sha256 is {found}, {MANIFEST} says {expected}")
-    classifiers = (_classifier(path, manifest, target, contents[f"{target}.onnx"]) for target in targets)
-    return RankingModel(_entry(manifest, path, str, "name"), manifest, *classifiers)
+    return manifest, [_classifier(path, manifest, target, contents[f"{target}.onnx"]) for target in targets]
 
 
 def _read(path: Path) -> bytes:

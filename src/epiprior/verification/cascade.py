@@ -1,58 +1,39 @@
 """When an estimate on standard matches is good enough to do without preprocessing (paper, end of the results).
 
 The paper recommends preprocessing "only on challenging image pairs or when the standard method failed". Here the
-standard method fails if it gives no F, or one that two ordinary photographs could hardly have. One rule serves all
-estimators; its number is chosen on validation scenes and kept in ``models/cascade.json``.
+standard method fails if its confidence is too low. One number serves all estimators; it is chosen on validation scenes
+and kept in ``models/cascade.json``.
 """
 
 import json
-import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from epiprior.errors import SettingsError
 from epiprior.settings_file import find_settings_file, parse_settings, read_settings_file
 from epiprior.types import FundamentalEstimate, Status
+from epiprior.verification.confidence import check_min_confidence
 
 
 @dataclass(frozen=True, kw_only=True)
 class CascadeRule:
-    """The least that an estimate on standard matches must show to be kept.
+    """The least confidence, in [0, 1], of an estimate on standard matches that is kept; SettingsError outside."""
 
-    Parameters
-    ----------
-    min_plausibility : Of F (`epiprior.verification.measures`), in [0, 1]. One that is not known counts as 0.
-
-    Raises
-    ------
-    SettingsError : If the value is out of its range.
-
-    Notes
-    -----
-    Ours. Support and share of inliers tell less: on a repeated facade a wrong F has many inliers too, but needs cameras
-    that do not exist.
-    """
-
-    min_plausibility: float = 0.93
+    min_confidence: float = 0.9
 
     def __post_init__(self) -> None:
-        value = self.min_plausibility
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not 0 <= value <= 1:  # also refuses NaN
-            raise SettingsError(f"min_plausibility is {value!r}, expected a number in [0, 1]")
+        check_min_confidence(self.min_confidence)
 
     def keeps(self, estimate: FundamentalEstimate) -> bool:
         """Return whether an estimate on standard matches is kept, so that nothing is preprocessed."""
-        return self.keeps_numbers(estimate.status, estimate.plausibility)
+        return self.keeps_numbers(estimate.status, estimate.confidence)
 
-    def keeps_numbers(self, status: str, plausibility: float) -> bool:
-        """Return the same from the status of an estimate and the plausibility of its F alone."""
-        known = 0.0 if math.isnan(plausibility) else plausibility
-        return status == Status.OK and known >= self.min_plausibility
+    def keeps_numbers(self, status: str, confidence: float) -> bool:
+        """Return the same from the status of an estimate and its confidence alone."""
+        return status == Status.OK and confidence >= self.min_confidence  # NaN is not
 
 
 def load_cascade_rule(path: Path | None = None) -> CascadeRule:
-    """Return the rule of the cascade: JSON of the form ``{"min_plausibility": ...}``.
+    """Return the rule of the cascade: JSON of the form ``{"min_confidence": ...}``.
 
     None: the file that comes with the models; where there is none, the defaults of `CascadeRule`. Raises SettingsError
     if the file cannot be read, or names a value that does not exist or is out of range.

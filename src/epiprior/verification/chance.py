@@ -1,4 +1,4 @@
-"""Could random matches do as well? The null model behind the statuses ``no_model`` and ``degenerate``.
+"""Could random matches do as well? The null model behind what `epiprior.verification.facts` says of a support.
 
 The best of many hypotheses always finds supporters, even among pure noise: 11 of 100 random matches, measured. Whether
 a support means anything is a question of how many supporters random matches would give. How often one random match lies
@@ -50,24 +50,25 @@ def chance_rate(F: FloatArray, x1: FloatArray, x2: FloatArray, threshold_px: flo
     return min((hits + _PRIOR_PAIRINGS * strip) / (len(y1) + _PRIOR_PAIRINGS), 1.0)
 
 
-def beyond_chance(supporters: int, matches: int, rate: float, fitted: int, *, level: float = 1.0) -> bool:
-    """Return whether `supporters` of `matches` are more than the best of many random hypotheses would have.
+def log_chance(supporters: int, matches: int, rate: float, fitted: int) -> float:
+    """Return the decimal logarithm of how many random hypotheses are expected to have as many `supporters`.
 
-    True where fewer than `level` of the hypotheses are expected to reach `supporters` by chance. As many are counted as
-    can be drawn, up to 100,000 (20,000 samples of up to three matrices each, and their local optimisation). `rate` is
-    the probability that a random match agrees with a hypothesis it did not make; `fitted` matches make a hypothesis and
-    agree with it for free: 7 for F, 2 for an F given a plane.
+    As many are counted as can be drawn, up to 100,000 (20,000 samples of up to three matrices each, and their local
+    optimisation). `rate` is the probability that a random match agrees with a hypothesis it did not make; `fitted`
+    matches make a hypothesis and agree with it for free: 7 for F, 4 for a homography. Never below -300; ``log10`` of
+    the hypotheses where no more than `fitted` agree.
     """
-    free = matches - fitted
-    if supporters <= fitted or free <= 0:
-        return False
-    return bool(_drawn(matches, fitted) * bdtrc(supporters - fitted - 1, free, rate) < level)
+    drawn = max(_drawn(matches, fitted), 1.0)
+    if supporters <= fitted or matches <= fitted:
+        return math.log10(drawn)
+    by_chance = float(bdtrc(supporters - fitted - 1, matches - fitted, min(rate, 1.0)))
+    return max(math.log10(drawn) + math.log10(max(by_chance, 1e-300)), -300.0)
 
 
 def expected_by_chance(agrees: BoolArray, rates: FloatArray, fitted: int) -> float:
     """Return how many random hypotheses are expected to have as many supporters; each match has a rate of its own.
 
-    What `beyond_chance` compares with its level, for `rates`, shape (N,), in [0, 1]. Of the matches that agree, the
+    `log_chance`, not as a logarithm, for `rates`, shape (N,), in [0, 1]. Of the matches that agree, the
     `fitted` least probable make a hypothesis and agree for free; ``inf`` where no more agree than that.
     """
     supporters = np.flatnonzero(agrees)

@@ -64,7 +64,7 @@ class Bench:
         matches = PairMatches(sets={kind: tuple(sets)}, pixel_factors=self.factors)
         how, seeds = self.hand_overs[estimator], self.settings.seeds
         for _, seed, found in estimates(matches, self.pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
-            yield self._record(experiment, variant, ranking, estimator, seed, found.raw_F, str(found.status))
+            yield self._record(experiment, variant, ranking, estimator, seed, found.F, str(found.status))
 
     def known(self, experiment: str, variant: str, ranking: str, F: FloatArray | None) -> Iterator[VariantRecord]:
         """Yield a record per seed, all alike, for a matrix that no estimator chose."""

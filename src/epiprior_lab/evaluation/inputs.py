@@ -33,7 +33,7 @@ from epiprior.presets import FeatureSettings, find_preset
 from epiprior.rank import rank_matches
 from epiprior.types import MatchSet
 from epiprior_lab.compute.tasks import Task, map_tasks
-from epiprior_lab.features.detection import DetectedPair, detect_pair
+from epiprior_lab.features.detection import DetectedPair, detect_images, detect_pair
 from epiprior_lab.pairsets import DatasetError, Pair
 
 WITHOUT = ("standard", "generalized")  # what an estimator gets without the preprocessing step
@@ -68,17 +68,21 @@ def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | No
 
     SettingsError if an input is unknown.
     """
+    return match_detected(detected or detect_pair(pair), inputs)
+
+
+def match_detected(found: DetectedPair, inputs: Sequence[str]) -> PairMatches:
+    """Match two images whose features are found in every asked way; SettingsError if an input is unknown."""
     unknown = [name for name in inputs if name not in INPUTS]
     if unknown:
         raise SettingsError(f"input is {unknown[0]!r}, known: {', '.join(INPUTS)}")
-    usual = detected or detect_pair(pair)
-    of_settings = {_detection(PREPROCESSED): usual}
+    of_settings = {_detection(PREPROCESSED): found}
     sets: dict[str, tuple[MatchSet, ...]] = {}
     features: dict[str, tuple[int, int]] = {}
     for name in inputs:
         settings = _detection(name)
         if settings not in of_settings:
-            of_settings[settings] = detect_pair(pair, settings)
+            of_settings[settings] = detect_images(*found.photographs, settings)
         (photo1, photo2), (features1, features2) = of_settings[settings].photographs, of_settings[settings].features
         features[name] = len(features1), len(features2)
         if name in _MAKERS:
@@ -86,7 +90,7 @@ def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | No
         else:
             ranked = rank_matches(photo1, photo2, preset=name, features1=features1, features2=features2)
             sets[name] = ranked.sets
-    return PairMatches(sets=sets, features=features, pixel_factors=usual.pixel_factors)
+    return PairMatches(sets=sets, features=features, pixel_factors=found.pixel_factors)
 
 
 def _detection(name: str) -> FeatureSettings:

@@ -67,14 +67,32 @@ class RunRecord(Record):
     status: str
     support: int
     matches: int
-    spread: int
-    plausibility: float
+    confidence: float
+    geometry: str
     iterations: int | None
     error_px: float
     median_error_px: float
     distance: float
     rotation_deg: float
     translation_deg: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class KindRecord(Record):
+    """One estimator on one input of a pair of a `kind` (`epiprior_lab.evaluation.kinds`); fields as in `RunRecord`.
+
+    `error_px`, at working size, is NaN but for true pairs with an F.
+    """
+
+    kind: str
+    estimator: str
+    input: str
+    status: str
+    geometry: str
+    confidence: float
+    support: int
+    matches: int
+    error_px: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -64,7 +64,7 @@ def estimates(
 
 def error_px(estimate: FundamentalEstimate, truth: Truth) -> float:
     """Return the paper's error of F, whatever its status: the mean Sampson distance of the points; NaN without F."""
-    return float("nan") if estimate.raw_F is None else float(errors_px(estimate.raw_F, truth.x1, truth.x2).mean())
+    return float("nan") if estimate.F is None else float(errors_px(estimate.F, truth.x1, truth.x2).mean())
 
 
 def run_record(
@@ -78,10 +78,10 @@ def run_record(
 ) -> RunRecord:
     """Measure one estimate in every way that the truth of the pair allows.
 
-    Its `raw_F` is measured whatever its status: a strict verification would flatter the inputs that it spares. Matches
+    Its F is measured whatever its status: a strict verification would flatter the inputs that it spares. Matches
     within `threshold_px` choose among the four poses of F. `key` is group, estimator, input and seed.
     """
-    F, cameras = estimate.raw_F, (pair.camera1, pair.camera2)
+    F, cameras = estimate.F, (pair.camera1, pair.camera2)
     mean = median = distance = rotation = translation = float("nan")
     if F is not None:
         errors = errors_px(F, truth.x1, truth.x2)
@@ -94,10 +94,11 @@ def run_record(
             rotation, translation = pose_errors(F, (cameras[0], cameras[1]), estimate.x1[near], estimate.x2[near])
     return RunRecord(
         **key,
-        **{name: getattr(estimate, name) for name in ("support", "spread", "plausibility", "iterations")},
+        **{name: getattr(estimate, name) for name in ("support", "confidence", "iterations")},
         pair_id=pair.pair_id,
         scene=pair.scene,
         status=str(estimate.status),
+        geometry=str(estimate.geometry),
         matches=len(estimate.x1),
         error_px=mean,
         median_error_px=median,

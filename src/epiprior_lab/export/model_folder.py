@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -11,11 +12,11 @@ import numpy as np
 
 from epiprior.errors import EpipriorError
 from epiprior.presets import find_preset
-from epiprior.ranking.models import CARD, MANIFEST, SCHEMA_VERSION, TARGETS, load_model
+from epiprior.ranking.models import CARD, MANIFEST, SCHEMA_VERSION, TARGETS, Classifier, load_model
 from epiprior_lab.export.model_card import model_card
 
 PARITY = 1e-6
-_LIBRARIES = ("epiprior", "numpy", "scikit-learn", "lightgbm", "onnx", "skl2onnx", "onnxmltools", "onnxruntime")
+LIBRARIES = ("epiprior", "numpy", "scikit-learn", "lightgbm", "onnx", "skl2onnx", "onnxmltools", "onnxruntime")
 
 
 class ExportError(EpipriorError, RuntimeError):
@@ -35,7 +36,7 @@ def export_model(training: Path, folder: Path, preset: str) -> None:
         "preset": preset,
         "feature_parameters": asdict(find_preset(preset)),
         "training_data": summary["training_data"],
-        "library_versions": {library: version(library) for library in _LIBRARIES},
+        "library_versions": {library: version(library) for library in LIBRARIES},
     }
     targets = [target for target in TARGETS if target in summary]
     for target in targets:
@@ -50,9 +51,13 @@ def export_model(training: Path, folder: Path, preset: str) -> None:
     for file, content in contents.items():
         (folder / file).write_bytes(content)
     model = load_model(folder)
+    check_parity(training, folder, {target: getattr(model, target) for target in targets})
+
+
+def check_parity(training: Path, folder: Path, classifiers: Mapping[str, Classifier]) -> None:
+    """Raise ExportError where a classifier, loaded from `folder`, differs from the one that was fitted."""
     with np.load(training / "parity.npz", allow_pickle=False) as stored:
-        for target in targets:
-            classifier = getattr(model, target)
+        for target, classifier in classifiers.items():
             exported = classifier.uncalibrated(stored[f"{target}_rows"])
             difference = np.max(np.abs(exported - stored[f"{target}_probability"]), initial=0.0)
             if not difference <= PARITY:

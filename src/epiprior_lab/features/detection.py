@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from epiprior.features.detect import detect_features
-from epiprior.features.images import Photograph, load_photograph
+from epiprior.features.images import Photograph, View, load_photograph
 from epiprior.presets import DEFAULT, FeatureSettings
 from epiprior.types import Features
 from epiprior_lab.pairsets import Pair
@@ -24,6 +24,11 @@ class DetectedPair:
 
 def detect_pair(pair: Pair, settings: FeatureSettings = DEFAULT.features) -> DetectedPair:
     """Read both images of a pair and find their features."""
-    photo1, photo2 = (load_photograph(image, settings.max_image_size) for image in (pair.image1, pair.image2))
+    return detect_images(pair.image1, pair.image2, settings)
+
+
+def detect_images(image1: View, image2: View, settings: FeatureSettings = DEFAULT.features) -> DetectedPair:
+    """Find the features of two images."""
+    photo1, photo2 = (load_photograph(image, settings.max_image_size) for image in (image1, image2))
     features = detect_features(photo1, settings), detect_features(photo2, settings)
     return DetectedPair(photographs=(photo1, photo2), features=features)

@@ -143,10 +143,54 @@ def _time(bound: Bound, overhead: pd.DataFrame) -> dict[str, Any]:
     return {"found": found, "met": found <= bound.at_most}
 
 
+def _confidence(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+    """Return what the confidence of all estimators reached; nothing without pairs of other kinds."""
+    table = tables.get("confidence")
+    if table is None:
+        return {}
+    row = table[(table["estimator"] == ALL) & (table["score"] == "confidence")].iloc[0]
+    return _reached(bound, float(row[_OF_CONFIDENCE[bound.measure]]))
+
+
+def _cascade_lost(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+    table = tables.get(CASCADE)
+    if table is None:
+        return {}
+    at = table[(table["group"] == bound.group) & (table["threshold_px"] == bound.threshold_px)]
+    worst = at.assign(share=at["lost"] / at["pairs"]).sort_values("share", ascending=False, kind="stable").iloc[0]
+    return {"estimator": worst["estimator"], **_reached(bound, float(worst["share"]))}
+
+
+def _reached(bound: Bound, found: float) -> dict[str, Any]:
+    met = found <= bound.at_most + ROUNDING if np.isnan(bound.at_least) else found >= bound.at_least - ROUNDING
+    return {"found": found, "met": met}
+
+
+_OF_CONFIDENCE: Mapping[str, str] = {  # column of its table
+    "right_kept": "kept",
+    "auc": "auc",
+    "calibration": "calibration_error",
+    "flat_told": "flat_told",
+    "false_flat": "false_flat",
+    "copies_told": "copies_told",
+}
+_SENTENCES: Mapping[str, str] = {
+    "right_kept": "at least {wanted:g} of right F kept where 1 % of the unrelated pairs are accepted",
+    "auc": "area under the ROC of the confidence at least {wanted:g}: right F against wrong and unrelated",
+    "calibration": "calibration error of the confidence at most {wanted:g}",
+    "flat_told": "at least {wanted:g} of planes and rotations told as such",
+    "false_flat": "at most {wanted:g} of right F told as planes, rotations or copies",
+    "copies_told": "at least {wanted:g} of copies told as such",
+    "cascade_lost": "the cascade loses at most {wanted:g} of the pairs to always preprocessing: {where}",
+    "time": "median time with preprocessing at most {wanted:g} times that without",
+    "cascade_time": "median time of the cascade at most {wanted:g} times that without",
+}
 _OF_RESULTS: Mapping[str, Callable[[Bound, Results, Mapping[str, pd.DataFrame]], dict[str, Any]]] = {
     "contribution": _contribution,
     "difference": _difference,
     "precision_gain": _precision_gain,
+    "cascade_lost": _cascade_lost,
+    **dict.fromkeys(_OF_CONFIDENCE, _confidence),
 }
 _OF_TIME: Mapping[str, str] = {"time": OURS, "cascade_time": CASCADE}
 
@@ -158,15 +202,14 @@ def bound_rows(judged: pd.DataFrame) -> list[list[str]]:
 
 def _wanted(row: Row) -> str:
     where = f"{group_title(row['group'])}, {row['threshold_px']:g} px"
+    if row["measure"] in _SENTENCES:
+        return _SENTENCES[row["measure"]].format(wanted=row["wanted"], where=where)
     who = row["estimator"] if np.isnan(row["kept"]) else "every estimator"
     match row["measure"]:
         case "difference":
             return f"{row['estimator']} beats every other estimator on {input_title(row['input'])}: {where}"
         case "precision_gain":
             return f"precision of the top 100 at least {row['wanted']:+.2f} over X_L: {group_title(row['group'])}"
-        case "time" | "cascade_time":
-            what = "of the cascade" if row["measure"] == "cascade_time" else "with preprocessing"
-            return f"median time {what} at most {row['wanted']:g} times that without"
     if row["wanted"] < 0:
         return f"no estimator loses more than {-100 * row['wanted']:g} %: {where}"
     over = "X_L" if row["against"] == "baseline" else "the best peer"
@@ -176,6 +219,8 @@ def _wanted(row: Row) -> str:
 def _found(row: Row) -> str:
     if np.isnan(row["found"]):
         return "no such pair"
+    if row["measure"] in _SENTENCES:
+        return f"{row['found']:.{2 if row['measure'] in _OF_TIME else 3}f}"
     values = {"found": row["found"], "found_low": row["low"], "found_high": row["high"]}
     kept = f"{row['kept']:.0f} of {row['of']:.0f}"
     match row["measure"]:
@@ -185,8 +230,6 @@ def _found(row: Row) -> str:
         case "precision_gain":
             text = interval(values, "found", lambda value: f"{value:+.3f}")
             return f"{text}; {row['possible']:+.3f} if all were right"
-        case "time" | "cascade_time":
-            return f"{row['found']:.2f}"
     # A loss of 1 % at most is missed by 1.3 %: whole numbers would not show it.
     text = interval(values, "found", percent if row["wanted"] >= 0 else lambda value: percent(value, 1))
     if not np.isnan(row["kept"]):

@@ -65,8 +65,8 @@ def rule_in_words(rule: CascadeRule) -> str:
     if rule == NEVER:
         return "No rule kept to what is tolerated: every pair is preprocessed."
     return (
-        "Its answer is kept if its status is `ok` and its plausibility (`epiprior.verification.plausibility`) is at "
-        f"least {rule.min_plausibility:g}; otherwise the pair is preprocessed."
+        f"Its answer is kept if its status is `ok` and its confidence at least {rule.min_confidence:g}; otherwise "
+        "the pair is preprocessed."
     )
 
 

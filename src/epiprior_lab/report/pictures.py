@@ -111,7 +111,7 @@ def example_picture(pair: Pair, path: Path) -> Path:
 def _drawn(images: tuple[Path, Path], matches: MatchSet, estimate: FundamentalEstimate) -> Picture:
     """Return matches and epipolar lines, or a line that says why there are none."""
     picture = draw_matches(*images, matches, estimate, settings=DrawSettings(max_matches=60, max_panel_size=640))
-    if estimate.F is not None:
+    if estimate:
         return picture
     return np.vstack([picture, draw_label(picture.shape[1], f"no epipolar lines: {estimate.message}")])
 

@@ -11,6 +11,7 @@ from epiprior_lab.params import ReportParams
 from epiprior_lab.report import figures, tables
 from epiprior_lab.report.bounds import judge
 from epiprior_lab.report.cascade import cascade_table
+from epiprior_lab.report.confidence import confidence_figure, confidence_table, kind_table
 from epiprior_lab.report.gallery import write_gallery
 from epiprior_lab.report.page import Page
 from epiprior_lab.report.prose import say
@@ -65,6 +66,9 @@ def make_tables(results: Results, params: ReportParams, extras: Extras) -> _Tabl
         made["classifiers"] = tables.classifier_table(extras.classifiers)
     if extras.hand_over is not None:
         made["hand_over"] = extras.hand_over
+    if extras.kinds is not None:
+        made["kinds"] = kind_table(extras.kinds, success_px)
+        made["confidence"] = confidence_table(extras.kinds, success_px)
     made["bounds"] = judge(list(extras.bounds), results=results, tables=made)
     return {name: table for name, table in made.items() if len(table)}
 
@@ -98,6 +102,9 @@ def write_report(results: Results, params: ReportParams, extras: Extras, kind: s
     for name, table in made.items():
         tables.write_table(table, out / "tables" / f"{name}.csv")
     drawn = {**draw_figures(results, made, params, out / "figures"), **extras.pictures}
+    if extras.kinds is not None:
+        drawn["confidence"] = out / "figures" / "confidence.png"
+        confidence_figure(extras.kinds, params.success_px, drawn["confidence"])
     paths = {name: path.relative_to(out).as_posix() for name, path in drawn.items()}
     material = Material(results=results, params=params, tables=made, figures=paths, kind=kind, extras=extras)
     Page(title=TITLES[kind], about=say(kind), sections=all_sections(material)).write(out)

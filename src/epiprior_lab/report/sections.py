@@ -15,6 +15,7 @@ from epiprior_lab.params import ReportParams
 from epiprior_lab.report import text
 from epiprior_lab.report.bounds import Bound, bound_rows
 from epiprior_lab.report.cascade import rule_in_words
+from epiprior_lab.report.confidence import kind_rows, score_rows
 from epiprior_lab.report.figures import MIN_BAR
 from epiprior_lab.report.gallery import Case, case_blocks
 from epiprior_lab.report.page import Block, Picture, Section, Table
@@ -32,8 +33,9 @@ class Extras:
     """What a report shows beside the results; each may be left out.
 
     `known_sets` are listed even where they are not present. `classifiers` are from `read_classifiers`, `hand_over` is
-    the search on validation scenes. `pictures`, by the names of the prose, and those of the `cases` are in the
-    report's folder already; `gallery` is the folder of the cases on photographs: its page is written too.
+    the search on validation scenes, `kinds` are the records of pairs of other kinds. `pictures`, by the names of the
+    prose, and those of the `cases` are in the report's folder already; `gallery` is the folder of the cases on
+    photographs: its page is written too.
     """
 
     rule: CascadeRule | None = None
@@ -41,6 +43,7 @@ class Extras:
     known_sets: Sequence[KnownSet] = ()
     classifiers: pd.DataFrame | None = None
     hand_over: pd.DataFrame | None = None
+    kinds: pd.DataFrame | None = None
     pictures: Mapping[str, Path] = field(default_factory=dict)
     cases: Sequence[Case] = ()
     gallery: Path | None = None
@@ -97,13 +100,15 @@ def all_sections(material: Material) -> list[Section]:
         "Classifiers": _classifiers,
         "Roll": _plain("roll", "roll"),
         "Analysis": _plain("analysis", "steps", "ablations", "limits"),
+        "Confidence": _confidence,
         "Verification": _statuses,
         "What limits the results": _limits,
         "Gallery": _gallery,
         "Bounds": _bounds,
     }
     needs: dict[_Maker, str] = {_duels: "duels", _cascade: CASCADE, _hand_over: "hand_over"}
-    needs |= {_classifiers: "classifiers", _limits: "limits", _bounds: "bounds", _changed: "changed"}
+    needs |= {_classifiers: "classifiers", _confidence: "confidence", _limits: "limits", _bounds: "bounds"}
+    needs |= {_changed: "changed"}
     return [
         Section(title=title, blocks=[block for block in make(material) if block])
         for title, make in makers.items()
@@ -421,6 +426,14 @@ def _classifiers(m: Material) -> Iterator[Block]:
         rows.append([str(preset), text.TARGET_TITLES.get(str(target), str(target)), str(family), *cells])
     yield Table(head=("preset", "what is classified", "classifier", *text.METRIC_TITLES.values()), rows=rows, texts=3)
     yield m.picture("classifiers")
+
+
+def _confidence(m: Material) -> Iterator[Block]:
+    yield say("confidence", success_px=m.params.success_px)
+    yield m.picture("confidence")
+    yield score_rows(m.tables["confidence"])
+    yield say("kinds")
+    yield kind_rows(m.tables["kinds"])
 
 
 def _statuses(m: Material) -> Iterator[Block]:

@@ -9,7 +9,7 @@ from epiprior.types import Float32Array
 from epiprior_lab.pairsets import Camera, ViewDifference
 from epiprior_lab.scenes.camera_pairs import draw_camera_pair
 from epiprior_lab.scenes.photography import draw_photograph, take
-from epiprior_lab.scenes.places import draw_open_scene, draw_street
+from epiprior_lab.scenes.places import FACADE_TEXELS_PER_M, draw_house_style, draw_open_scene, draw_street
 from epiprior_lab.scenes.render import cast_shadows, draw_light, render_depth, render_image
 from epiprior_lab.scenes.settings import FAMILIES, FamilySettings
 from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Image
@@ -63,3 +63,29 @@ def render_pair(
             depths.append(render_depth(world, camera, view=view))
         return RenderedPair(images[0], images[1], depths[0], depths[1], *cameras)
     raise SceneError(f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes")
+
+
+def render_doppelgangers(family: str, seed: int, *, width: int = 1024, height: int = 768) -> tuple[Image, Image]:
+    """Render two different facades of one style, (H, W, 3) each: the same windows and walls, another house.
+
+    The style is one of the family's streets. Equal seeds give equal bytes; SceneError as `render_pair`.
+    """
+    settings = FAMILIES[family]
+    parts = np.random.SeedSequence(seed).spawn(3)
+    style = draw_house_style(np.random.default_rng(parts[0]), settings, FACADE_TEXELS_PER_M)
+    images = []
+    for part in parts[1:]:
+        for attempt in part.spawn(_WORLDS):
+            rng = np.random.default_rng(attempt)
+            world, subject = draw_street(rng, settings, style)
+            cameras = draw_camera_pair(rng, world, subject, settings, width=width, height=height)
+            if cameras is None:
+                continue
+            light = draw_light(rng)
+            shadows = cast_shadows(world, light, subject.frame.foot, view=FIRST_VIEW)
+            seen = render_image(world, cameras[0], light, shadows, view=FIRST_VIEW)
+            images.append(take(seen, draw_photograph(rng), rng))
+            break
+        else:
+            raise SceneError(f"family {family!r}, seed {seed}: no view within the family's bounds in {_WORLDS} scenes")
+    return images[0], images[1]

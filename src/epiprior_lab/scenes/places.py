@@ -17,6 +17,8 @@ _GROUND_M = 120.0
 _GROUND_TILE_M = 10.0
 _ROWS, _COLUMNS = 512, 1024  # of the surroundings
 
+FACADE_TEXELS_PER_M = 56.0
+
 
 def _begin_world(rng: np.random.Generator) -> WorldBuilder:
     world = WorldBuilder(surroundings=_surroundings(rng))
@@ -95,10 +97,15 @@ def _skyline(rng: np.random.Generator, band: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.GaussianBlur(out, (0, 0), 1.2))
 
 
-def draw_street(rng: np.random.Generator, settings: FamilySettings) -> tuple[World, Subject]:
-    """Draw a street with a facade about 20 m wide, in one to three parts that stand out from each other."""
+def draw_street(
+    rng: np.random.Generator, settings: FamilySettings, style: HouseStyle | None = None
+) -> tuple[World, Subject]:
+    """Draw a street with a facade about 20 m wide, in one to three parts that stand out from each other.
+
+    `style` is that of the facade, instead of one that is drawn.
+    """
     world = _begin_world(rng)
-    style = _house_style(rng, settings, 56.0)
+    style = style or draw_house_style(rng, settings, FACADE_TEXELS_PER_M)
     width, height = float(rng.uniform(16, 25)), float(rng.uniform(9, 16))
     frame = Frame.facing((-width / 2, 0.0, 0.0), 0.0)
     parts = int(rng.integers(1, 4))
@@ -140,14 +147,15 @@ def _add_neighbours(
 ) -> None:
     """Add a house on either side, in line, set back, or standing forward so that its side is seen."""
     for side in (-1, 1):
-        style = _house_style(rng, settings, 40.0)
+        style = draw_house_style(rng, settings, 40.0)
         wide, forward = float(rng.uniform(7, 11)), float(rng.choice((-3.0, -1.0, 0.8, 2.5, 4.0)))
         start = -wide - rng.uniform(0, 1.5) if side < 0 else width + rng.uniform(0, 1.5)
         place = Frame(frame.point(float(start), 0.0, forward), frame.right, frame.outward)
         add_house(world, rng, place, style, width=wide, height=float(rng.uniform(5, 12)), depth=8.0)
 
 
-def _house_style(rng: np.random.Generator, settings: FamilySettings, texels_per_m: float) -> HouseStyle:
+def draw_house_style(rng: np.random.Generator, settings: FamilySettings, texels_per_m: float) -> HouseStyle:
+    """Draw the style of a house of a family."""
     distinct, variety = float(rng.uniform(*settings.distinct)), float(rng.uniform(*settings.variety))
     return house_style(rng, distinct=distinct, variety=variety, texels_per_m=texels_per_m)
 
@@ -171,7 +179,7 @@ def draw_open_scene(rng: np.random.Generator, settings: FamilySettings) -> tuple
     across = -16.0
     while across < 14.0:
         wide, turn = float(rng.uniform(4, 9)), float(rng.uniform(-35, 35))
-        style = _house_style(rng, settings, 48.0)
+        style = draw_house_style(rng, settings, 48.0)
         place = Frame.facing((across, 0.0, float(rng.uniform(2, 10))), turn)
         height, depth = float(rng.uniform(3, 8)), float(rng.uniform(4, 7))
         add_house(world, rng, place, style, width=wide, height=height, depth=depth)

@@ -17,26 +17,26 @@ from epiprior_lab.evaluation.inputs import PREPROCESSED, WITHOUT
 from epiprior_lab.params import CascadeParams
 
 ALL = "all"
-NEVER = CascadeRule(min_plausibility=1.0)  # where no other rule keeps within the tolerance
+NEVER = CascadeRule(min_confidence=1.0)  # where no other rule keeps within the tolerance
 
 
 def paired_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs without preprocessing beside the same runs with it; other inputs are left out.
 
-    One row per group, pair, estimator and seed: ``status`` and ``plausibility`` without preprocessing, ``with_status``
+    One row per group, pair, estimator and seed: ``status`` and ``confidence`` without preprocessing, ``with_status``
     with it, and the errors ``without_px``, ``with_px``, infinite without F, whatever the status.
     """
     keys = ["group", "pair_id", "scene", "estimator", "seed"]
     table = runs.assign(error_px=runs["error_px"].fillna(np.inf))
     without = table[table["input"].isin(WITHOUT)].rename(columns={"error_px": "without_px"})
     with_step = table[table["input"] == PREPROCESSED].rename(columns={"error_px": "with_px", "status": "with_status"})
-    left = without[[*keys, "status", "plausibility", "without_px"]]
+    left = without[[*keys, "status", "confidence", "without_px"]]
     return left.merge(with_step[[*keys, "with_status", "with_px"]], on=keys, how="inner", validate="one_to_one")
 
 
 def kept_runs(runs: pd.DataFrame, rules: Sequence[CascadeRule]) -> BoolArray:
     """Return which runs each rule keeps without preprocessing, shape (len(rules), len(runs))."""
-    numbers = list(zip(runs["status"], runs["plausibility"], strict=True))
+    numbers = list(zip(runs["status"], runs["confidence"], strict=True))
     kept = [[rule.keeps_numbers(*run) for run in numbers] for rule in rules]
     return np.array(kept, dtype=np.bool_).reshape(len(rules), len(runs))
 
@@ -59,7 +59,7 @@ def lost_runs(runs: pd.DataFrame, kept: BoolArray, threshold_px: float) -> BoolA
 
 def candidate_rules(params: CascadeParams) -> list[CascadeRule]:
     """Return the rules that are tried, strictest first."""
-    return [NEVER, *(CascadeRule(min_plausibility=least) for least in sorted(params.min_plausibility, reverse=True))]
+    return [NEVER, *(CascadeRule(min_confidence=least) for least in sorted(params.min_confidence, reverse=True))]
 
 
 @dataclass(frozen=True, kw_only=True)

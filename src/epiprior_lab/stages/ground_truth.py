@@ -15,7 +15,7 @@ from epiprior_lab.pairsets import (
     write_control_points,
     write_table,
 )
-from epiprior_lab.params import load_study
+from epiprior_lab.params import SPLITS, load_study
 
 SUMMARY = ("pair_id", "scene", "angle_deg", "overlap", "scale_ratio", "roll_deg", "control_points")
 
@@ -30,7 +30,7 @@ def measure(pair: Pair, count: int, seed: int) -> tuple[FloatArray, FloatArray, 
 def main() -> None:
     """Write ``data/ground_truth/<split>/<family>/``: control points of every pair, and ``summary.csv``."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--split", required=True, choices=("train", "validation", "test"))
+    parser.add_argument("--split", required=True, choices=SPLITS)
     split = parser.parse_args().split
     params = load_study()
     truth = params.ground_truth

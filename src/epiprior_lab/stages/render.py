@@ -1,7 +1,7 @@
 """Stage `render`: the scenes of one split, a pair set per family.
 
 Pairs that are evaluated, of validation and test, have to be solvable: a scene with too few right matches among X is
-drawn anew. Training takes every scene.
+drawn anew. Training, of the rankers and of the confidence, takes every scene.
 """
 
 import argparse
@@ -13,7 +13,7 @@ from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import PairFiles, encode_depth, read_pair_set, write_pair_set
-from epiprior_lab.params import load_study
+from epiprior_lab.params import SPLITS, load_study
 from epiprior_lab.scenes import SceneError, render_pair
 from epiprior_lab.scenes.photography import encode_jpeg
 
@@ -64,12 +64,12 @@ def render(*, pair_id: str, family: str, seed: int, width: int, height: int, jpe
 def main() -> None:
     """Write ``data/scenes/<split>/<family>/``; every pair is a scene of its own, so splits share none."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--split", required=True, choices=("train", "validation", "test"))
+    parser.add_argument("--split", required=True, choices=SPLITS)
     split = parser.parse_args().split
     params = load_study()
     scenes = params.scenes
     common = {
-        "least_right": 0 if split == "train" else LEAST_RIGHT,
+        "least_right": LEAST_RIGHT if split in ("validation", "test") else 0,
         "labels": LabelSettings.of(params.truth),
         "width": scenes.image_width,
         "height": scenes.image_height,

@@ -6,7 +6,7 @@ from pathlib import Path
 from epiprior.verification.cascade import load_cascade_rule
 from epiprior_lab.compute.tasks import single_threaded
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
-from epiprior_lab.evaluation.records import Tables
+from epiprior_lab.evaluation.records import KindRecord, Tables, read_frame
 from epiprior_lab.pairsets import known_sets
 from epiprior_lab.params import STUDY, Params, StudyParams, load_params
 from epiprior_lab.report.bounds import BOUNDS, load_bounds
@@ -38,6 +38,7 @@ def study_extras(params: StudyParams, results: Results, out: Path) -> Extras:
         rule=load_cascade_rule(MODELS / "cascade.json"),
         bounds=load_bounds(BOUNDS, "study"),
         classifiers=read_classifiers(Path("data/training"), params.features.presets),
+        kinds=read_frame(KindRecord, Path("data/kinds/kinds.csv")),
         hand_over=read_table(Path("data/hand_over/search.csv"), HAND_OVER_COLUMNS),
         pictures={**pictures, "roll": figures / "roll.png"}
         | {name: out / path for name, path in {**OF_OTHER_STAGES, **OF_STUDY}.items()},
@@ -60,6 +61,7 @@ def photograph_extras(params: Params, results: Results, out: Path) -> Extras:
         rule=load_cascade_rule(MODELS / "cascade.json"),
         bounds=load_bounds(BOUNDS, "photographs"),
         known_sets=known_sets(),
+        kinds=read_frame(KindRecord, Path("data/real-kinds/kinds.csv")),
         pictures={name: out / path for name, path in OF_OTHER_STAGES.items()},
         cases=cases,
         gallery=GALLERY,

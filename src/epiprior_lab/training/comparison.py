@@ -75,20 +75,19 @@ def train(
     for preset, found in files.items():
         if not found:
             raise SettingsError(f"{folders[preset]}: no rows; run the stage features first")
-    store.mkdir(parents=True, exist_ok=True)
     drawn = {preset: [two_keypoint_sample(file, preset, params) for file in files[preset]] for preset in folders}
     data = {
         preset: TargetRows.stack("two_keypoint", find_preset(preset).two_keypoint_columns, samples)
         for preset, samples in drawn.items()
     }
-    first = _compare(data, params, workers, store)
+    first = compare(data, params, workers, store)
     tasks = [task for preset in folders for task in _vote_tasks(files[preset], first[preset], params)]
     samples = iter(map_tasks(voted_sample, tasks, workers=workers, description="votes", store=store))
     data = {
         preset: TargetRows.stack("match", find_preset(preset).match_columns, [next(samples) for _ in files[preset]])
         for preset in folders
     }
-    second = _compare(data, params, workers, store)
+    second = compare(data, params, workers, store)
     again = [preset for preset in folders if find_preset(preset).second_round]
     tasks = [task for preset in again for task in _vote_tasks(files[preset], first[preset], params, second[preset])]
     samples = iter(map_tasks(voted_sample, tasks, workers=workers, description="second round", store=store))
@@ -96,7 +95,7 @@ def train(
         preset: TargetRows.stack("second_round", SECOND_ROUND_COLUMNS, [next(samples) for _ in files[preset]])
         for preset in again
     }
-    third = _compare(data, params, workers, store) if again else {}
+    third = compare(data, params, workers, store) if again else {}
     return {
         preset: (first[preset], second[preset], *((third[preset],) if preset in third else ())) for preset in folders
     }
@@ -170,8 +169,12 @@ def voted_sample(*, file: Path, classifiers: tuple[HeldOut, ...], most: int, see
     return Sample.draw(scene=table.scene, pair=file.stem, rows=rows, labels=labels, most=most, seed=seed)
 
 
-def _compare(data: Mapping[str, TargetRows], params: TrainParams, workers: int, store: Path) -> dict[str, Comparison]:
-    """Cross-validate the families of every preset, the exported one by row as well, and refit that one."""
+def compare(data: Mapping[str, TargetRows], params: TrainParams, workers: int, store: Path) -> dict[str, Comparison]:
+    """Cross-validate the families of every preset, the exported one by row as well, and refit that one.
+
+    `data` are the rows of one target by preset, or by another model that `TrainParams.exported` has a family for.
+    """
+    store.mkdir(parents=True, exist_ok=True)
     caps = dict.fromkeys(params.families, params.max_rows)
     caps |= {"random-forest": params.max_forest_rows, "svm": params.max_svm_rows}
     exported = {preset: str(getattr(params.exported, preset)) for preset in data}

@@ -294,7 +294,7 @@ def test_what_the_pairs_allow():
 def evaluated():
     """Return what an evaluation of five pairs says, of which the shares of right matches in X_L are known."""
     records = []
-    measures = ("plausibility", "median_error_px", "distance", "rotation_deg", "translation_deg")
+    measures = ("confidence", "median_error_px", "distance", "rotation_deg", "translation_deg")
     for i, right in enumerate([30, 10, 50, 20, 40]):
         key = {"group": "f", "pair_id": f"p{i}", "scene": "s"}
         at = tuple(min(rank, right) if rank != 10 else 9 for rank in RANKS)
@@ -305,7 +305,7 @@ def evaluated():
         for estimator, name, seed in runs:
             won = name == "default" or (estimator == "beem" and seed < 2)
             values = dict.fromkeys(measures, np.nan) | {"iterations": None, "error_px": 2.0 if won else 30.0}
-            counts = dict.fromkeys(("support", "matches", "spread"), 9)
+            counts = dict.fromkeys(("support", "matches"), 9)
             records.append(
                 RunRecord(**key, estimator=estimator, input=name, seed=seed, status="ok", **counts, **values)
             )

@@ -61,8 +61,8 @@ def test_runs_of_a_pair(pairs, protocol, tmp_path):
     distances = sampson_distance(estimate.F, *pair.control_points())
     assert row["error_px"] == pytest.approx(distances.mean(), rel=1e-12)
     assert row["median_error_px"] == pytest.approx(np.median(distances), rel=1e-12)
-    assert (row["support"], row["spread"], row["matches"]) == (estimate.support, estimate.spread, len(estimate.x1))
-    assert row["plausibility"] == estimate.plausibility > 0.5
+    assert (row["support"], row["geometry"], row["matches"]) == (estimate.support, estimate.geometry, len(estimate.x1))
+    assert row["confidence"] == estimate.confidence
     tables.write(tmp_path / "out")
     evaluate(pairs, protocol, group="relief", store=tmp_path / "store").write(tmp_path / "again")
     for name in RECORDS:
@@ -116,7 +116,7 @@ def test_f_without_its_verification_is_the_same(pairs, tiny_model):
         for estimator in ("usac", "epiprior"):
             settings = {"estimator": estimator, "seed": 3, "hand_over": how, "pixel_factors": (2.0, 1.5)}
             found = best_fundamental(matches.sets[name], **settings)
-            np.testing.assert_array_equal(found, estimate_from_matches(matches.sets[name], **settings).raw_F)
+            np.testing.assert_array_equal(found, estimate_from_matches(matches.sets[name], **settings).F)
 
 
 def test_an_estimate_is_measured_whatever_its_status(tmp_path):
@@ -124,7 +124,7 @@ def test_an_estimate_is_measured_whatever_its_status(tmp_path):
     F, (x1, x2), pair = fundamental_from_cameras(*cameras), points_before(cameras), camera_pair(tmp_path, cameras)
     truth = Truth(labels="depth", points="cameras", x1=x1, x2=x2, F=F)
     turned_down = FundamentalEstimate(
-        status=Status.DEGENERATE, F=None, raw_F=F, x1=x1, x2=x2, inliers=np.zeros(60, np.bool_), support=0,
+        status=Status.DEGENERATE, F=F, x1=x1, x2=x2, inliers=np.zeros(60, np.bool_), support=0,
         estimator="usac",
     )  # fmt: skip
     key = {"group": "g", "estimator": "usac", "input": "snn", "seed": 0, "threshold_px": 1.5}
@@ -133,10 +133,10 @@ def test_an_estimate_is_measured_whatever_its_status(tmp_path):
     assert (record.status, record.input) == ("degenerate", "snn")
     assert max(record.error_px, record.distance) < 1e-6
     assert max(record.rotation_deg, record.translation_deg) < 1e-3
-    none = runs.run_record(replace(turned_down, raw_F=None), pair, truth, measures, **key)
+    none = runs.run_record(replace(turned_down, F=None), pair, truth, measures, **key)
     measured = (none.error_px, none.median_error_px, none.distance, none.rotation_deg, none.translation_deg)
     assert np.isnan(measured).all()
-    assert np.isnan(runs.error_px(replace(turned_down, raw_F=None), truth))
+    assert np.isnan(runs.error_px(replace(turned_down, F=None), truth))
     no_f = runs.run_record(turned_down, replace(pair, camera2=None), replace(truth, F=None), measures, **key)
     assert no_f.error_px < 1e-6
     assert np.isnan((no_f.distance, no_f.rotation_deg)).all()

@@ -17,7 +17,7 @@ from epiprior_lab.report.report import Extras, read_results, write_report
 from synthetic_tables import APART, photograph_tables, study_tables
 
 ROOT = Path(__file__).parents[3]
-RULE = CascadeRule(min_plausibility=0.95)
+RULE = CascadeRule(min_confidence=0.95)
 
 
 def metrics():

@@ -12,8 +12,8 @@ from epiprior_lab.selection.cascade_rule import NEVER, LearntRule
 def test_the_rule_in_words():
     columns = ("preprocessed", "lost", "held_out_preprocessed", "held_out_lost")
     outcomes = pd.DataFrame([[0.5, 0.01, 0.6, 0.02]] * 2, index=["usac", "all"], columns=columns)
-    params = CascadeParams(seeds=(0,), tolerance=0.01, strict_tolerance=0.04, min_plausibility=(0.5, 0.9))
-    learnt = LearntRule(rule=CascadeRule(min_plausibility=0.9), outcomes=outcomes)
+    params = CascadeParams(seeds=(0,), tolerance=0.01, strict_tolerance=0.04, min_confidence=(0.5, 0.9))
+    learnt = LearntRule(rule=CascadeRule(min_confidence=0.9), outcomes=outcomes)
     text = render_markdown(learnt_page(learnt, params, 10.0, 3.0, "cascade.png"))
     assert "| usac | 50.0 % | 1.0 % | 60.0 % | 2.0 % |" in text
     assert "least 0.9; otherwise the pair is preprocessed" in " ".join(text.split())

@@ -233,7 +233,7 @@ def test_a_cascade_takes_one_run_or_the_other(both):
     rows = rows_of(results, results.tables.runs, "all")
     rows = rows[rows["estimator"] == "usac"].assign(error=lambda t: t["error_px"].fillna(np.inf))
     wide = {name: part.set_index(["group", "pair_id", "seed"]) for name, part in rows.groupby("input")}
-    # Made-up runs have a plausibility of 0.97: the rule keeps whatever is ok, so that nothing is there to fall back on.
+    # Made-up runs have a confidence of 0.97: the rule keeps whatever is ok, so that nothing is there to fall back on.
     kept = wide["standard"]["status"] == "ok"
     error = wide["standard"]["error"].where(kept, wide["default"]["error"])
     assert row["cascade"] == pytest.approx((error < 10).sum() / len(SEEDS))

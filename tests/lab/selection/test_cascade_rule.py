@@ -12,14 +12,14 @@ from epiprior_lab.selection import cascade_rule
 from epiprior_lab.selection.cascade_rule import ALL, NEVER, cascade_errors, kept_runs, learn_rule, lost_runs
 from synthetic_tables import study_tables
 
-PARAMS = CascadeParams(seeds=(0,), tolerance=0.01, strict_tolerance=0.01, min_plausibility=(0.0, 0.25, 0.5, 0.75))
+PARAMS = CascadeParams(seeds=(0,), tolerance=0.01, strict_tolerance=0.01, min_confidence=(0.0, 0.25, 0.5, 0.75))
 AT = {"success_px": 10.0, "strict_px": 3.0}
 INF = float("inf")
 
 
 def runs_of(rows, estimator="usac"):
-    """Rows are (scene, plausibility, error without, error with)."""
-    table = pd.DataFrame(rows, columns=["scene", "plausibility", "without_px", "with_px"])
+    """Rows are (scene, confidence, error without, error with)."""
+    table = pd.DataFrame(rows, columns=["scene", "confidence", "without_px", "with_px"])
     table["status"] = np.where(np.isinf(table["without_px"]), "no_model", "ok")
     table["with_status"] = np.where(np.isinf(table["with_px"]), "no_model", "ok")
     table["pair_id"] = [f"pair-{i}" for i in range(len(table))]
@@ -47,7 +47,7 @@ def test_a_cascade_takes_one_or_the_other_and_falls_back():
     kept, preprocessed, in_vain = ("a", 0.6, 1.0, 2.0), ("b", 0.4, 50.0, 2.0), ("c", 0.3, 3.0, INF)
     nothing, kept_though_wrong = ("d", np.nan, INF, INF), ("e", 0.6, 30.0, 1.0)
     runs = runs_of([kept, preprocessed, in_vain, nothing, kept_though_wrong])
-    kept = kept_runs(runs, [CascadeRule(min_plausibility=0.5), NEVER])
+    kept = kept_runs(runs, [CascadeRule(min_confidence=0.5), NEVER])
     assert kept.tolist() == [[True, False, False, False, True], [False] * 5]
     assert cascade_errors(runs, kept[0]).tolist() == [1.0, 2.0, 3.0, INF, 30.0]
     assert lost_runs(runs, kept, 10.0).tolist() == [[False, False, False, False, True], [False] * 5]
@@ -62,16 +62,16 @@ def many_runs(n=60, seed=0):
     """Right answers are plausible, wrong ones are not."""
     rng = np.random.default_rng(seed)
     right = rng.random(n) < 0.5
-    plausibility = np.where(right, rng.uniform(0.55, 0.99, n), rng.uniform(0, 0.2, n))
+    confidence = np.where(right, rng.uniform(0.55, 0.99, n), rng.uniform(0, 0.2, n))
     scenes = [f"s{i}" for i in range(n)]
-    return runs_of(list(zip(scenes, plausibility, np.where(right, 0.5, 40.0), np.full(n, 0.7), strict=True)))
+    return runs_of(list(zip(scenes, confidence, np.where(right, 0.5, 40.0), np.full(n, 0.7), strict=True)))
 
 
 def test_the_learnt_rule_tells_right_from_wrong_and_is_strict():
     runs = many_runs()
     found = learn_rule(runs, PARAMS, **AT)
     outcome = found.outcomes.loc["usac"]
-    assert found.rule == CascadeRule(min_plausibility=0.5)  # 0.25 would keep as much
+    assert found.rule == CascadeRule(min_confidence=0.5)  # 0.25 would keep as much
     assert outcome["preprocessed"] == pytest.approx(1 - (runs["without_px"] < 10).mean())
     assert (outcome["lost"], outcome["held_out_lost"]) == (0.0, 0.0)
     assert outcome["held_out_preprocessed"] == pytest.approx(outcome["preprocessed"], abs=0.1)
@@ -94,17 +94,17 @@ def test_a_rule_has_a_margin():
     """0.5 parts right from wrong, but the wrong one is just below: 0.75 is chosen though it keeps less."""
     right = [(f"r{i}", 0.9, 1.0, 1.0) for i in range(10)] + [(f"q{i}", 0.6, 1.0, 1.0) for i in range(10)]
     found = learn_rule(runs_of([*right, ("w", 0.49, 50.0, 1.0)]), PARAMS, **AT)
-    assert found.rule == CascadeRule(min_plausibility=0.75)
+    assert found.rule == CascadeRule(min_confidence=0.75)
     assert found.outcomes.loc[ALL, "preprocessed"] == pytest.approx(11 / 21)
     far = learn_rule(runs_of([*right, ("w", 0.2, 50.0, 1.0)]), PARAMS, **AT)
-    assert far.rule == CascadeRule(min_plausibility=0.5)
+    assert far.rule == CascadeRule(min_confidence=0.5)
 
 
 def test_held_out_shares_show_a_rule_that_one_scene_decides():
     """The only wrong answer that is plausible: without its scene, the rule would keep it."""
     rows = [(f"{p}-{i}", p, 1.0, 1.0) for p in (0.8, 0.4) for i in range(30)]
     found = learn_rule(runs_of([*rows, ("bad", 0.4, 90.0, 1.0)]), PARAMS, **AT)
-    assert (found.rule.min_plausibility, found.outcomes.loc[ALL, "lost"]) == (0.75, 0.0)
+    assert (found.rule.min_confidence, found.outcomes.loc[ALL, "lost"]) == (0.75, 0.0)
     assert found.outcomes.loc[ALL, "held_out_lost"] == pytest.approx(1 / 61)
 
 
@@ -115,16 +115,16 @@ def test_one_rule_serves_all_and_one_fooled_estimator_does_not_decide_alone():
     usac = runs_of([*good, ("freak", 0.9, 50.0, 1.0)])
     assert learn_rule(usac, PARAMS, **AT).rule == NEVER
     found = learn_rule(pd.concat([usac, *others], ignore_index=True), PARAMS, **AT)
-    assert found.rule == CascadeRule(min_plausibility=0.75)
+    assert found.rule == CascadeRule(min_confidence=0.75)
     assert list(found.outcomes.index) == ["usac", "prosac", "beem", ALL]
     assert found.outcomes["lost"].to_list() == pytest.approx([1 / 50, 0, 0, 1 / 150])
     assert found.outcomes["preprocessed"].to_list() == pytest.approx([0, 1 / 50, 1 / 50, 2 / 150])
 
 
 def test_the_trade_off_falls_from_never_to_always():
-    assert [rule.min_plausibility for rule in cascade_rule.candidate_rules(PARAMS)] == [1.0, 0.75, 0.5, 0.25, 0.0]
+    assert [rule.min_confidence for rule in cascade_rule.candidate_rules(PARAMS)] == [1.0, 0.75, 0.5, 0.25, 0.0]
     assert cascade_rule.candidate_rules(PARAMS)[0] is NEVER
-    runs = many_runs(seed=2).assign(plausibility=np.linspace(0, 0.99, 60))
+    runs = many_runs(seed=2).assign(confidence=np.linspace(0, 0.99, 60))
     front = cascade_rule.trade_off(runs, PARAMS, 10.0)
     first, last = front.iloc[0], front.iloc[-1]
     assert (len(front), first["preprocessed"], first["lost"], last["preprocessed"]) == (5, 1.0, 0.0, 0.0)

@@ -1,0 +1,189 @@
+"""Pairs of every kind that a confidence has to tell apart: planned, made, estimated.
+
+A *place* is a set of photographs that may show the same things; photographs of different places share nothing. True
+pairs have the kind ``pair``; the others are made of their images by code, see `epiprior_lab.scenes.kinds`, or rendered:
+``doppelganger``, two different facades in one style.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+
+from epiprior.estimators.run import estimate_from_matches
+from epiprior.features.images import read_image
+from epiprior.types import FundamentalEstimate, Geometry, Status
+from epiprior_lab.compute.seeds import child_seed
+from epiprior_lab.evaluation.inputs import PairMatches, match_detected
+from epiprior_lab.evaluation.records import KindRecord
+from epiprior_lab.evaluation.runs import HandOvers, each_run
+from epiprior_lab.evaluation.truth import TruthSettings, pair_truth
+from epiprior_lab.features.detection import detect_images
+from epiprior_lab.labels.ground_truth import errors_px
+from epiprior_lab.pairsets import Pair
+from epiprior_lab.scenes import render_doppelgangers
+from epiprior_lab.scenes.kinds import make_views
+from epiprior_lab.scenes.world import Image
+
+TRUE, DOPPELGANGER, COLMAP = "pair", "doppelganger", "colmap-verification"
+_OF_TWO = ("unrelated", "overlay")
+_STYLES = "facades-hard"
+_SHIFT = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # to COLMAP's pixels
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, kw_only=True)
+class KindCase:
+    """One pair of a kind, made of `images` or with a truth of its own; `block` is what cross-validation keeps whole."""
+
+    name: str
+    block: str
+    kind: str
+    seed: int
+    images: tuple[Path, Path] | None = None
+    pair: Pair | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that the pair is made of."""
+        return self.pair.files if self.pair is not None else (self.images or ())
+
+
+def plan_cases(
+    places: Mapping[str, Sequence[Pair]], counts: Mapping[str, int], *, block: str, seed: int
+) -> list[KindCase]:
+    """Return pairs of kinds, so many of each, made of the images of `places`; no two have the same images and kind.
+
+    Fewer where there are no more different ones. True pairs, kind `TRUE`, are spread over the places.
+    """
+    names = sorted(places)
+    cases: list[KindCase] = []
+    for kind, count in counts.items():
+        rng = np.random.default_rng(child_seed(seed, block, kind))
+        seen: set[tuple[str, ...]] = set()
+        for _ in range(20 * count):
+            if len(seen) == count:
+                break
+            chosen = rng.choice(len(names), 2, replace=False) if kind in _OF_TWO else rng.integers(len(names), size=1)
+            pairs = [places[names[k]][int(rng.integers(len(places[names[k]])))] for k in chosen]
+            views = [(pair.image1, pair.image2)[int(rng.integers(2))] for pair in pairs]
+            key = (pairs[0].pair_id,) if kind == TRUE else tuple(sorted(map(str, views)))
+            if key in seen and kind != DOPPELGANGER:
+                continue
+            name = f"{kind}-{block}-{len(seen):03d}"
+            seen.add((name,) if kind == DOPPELGANGER else key)
+            true, rendered = kind == TRUE, kind in (TRUE, DOPPELGANGER)
+            images, pair = None if rendered else (views[0], views[-1]), pairs[0] if true else None
+            own = child_seed(seed, name)
+            cases.append(KindCase(name=name, block=block, kind=kind, seed=own, images=images, pair=pair))
+    return cases
+
+
+def places_of(sets: Mapping[str, Sequence[Pair]], *, by_scene: bool) -> dict[str, list[Pair]]:
+    """Return the places of pair sets: scenes where each is a place of its own, else whole sets.
+
+    Sets of photographs come from different places; their scenes may overlap.
+    """
+    places: dict[str, list[Pair]] = {}
+    for name, pairs in sets.items():
+        for pair in pairs:
+            places.setdefault(pair.scene if by_scene else name, []).append(pair)
+    return places
+
+
+def case_images(case: KindCase) -> tuple[Image, Image]:
+    """Return the two images of a case, (H, W, 3), RGB."""
+    if case.pair is not None:
+        return _read(case.pair.image1), _read(case.pair.image2)
+    if case.images is None:
+        return render_doppelgangers(_STYLES, case.seed)
+    return make_views(case.kind, (_read(case.images[0]), _read(case.images[1])), case.seed)
+
+
+def _read(path: Path) -> Image:
+    return np.asarray(cv2.cvtColor(read_image(path, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def case_runs(
+    run: Callable[..., Result], case: KindCase, inputs: Mapping[str, Sequence[str]], hand_overs: HandOvers
+) -> tuple[PairMatches, list[tuple[str, str, Result]]]:
+    """Match a case in every way that an estimator asks for; return that, and estimator, input and outcome of each run.
+
+    `inputs` are per estimator; `run` is as in `each_run`.
+    """
+    asked = tuple(dict.fromkeys(name for names in inputs.values() for name in names))
+    matches = match_detected(detect_images(*case_images(case)), asked)
+    found = []
+    for estimator, names in inputs.items():
+        own = PairMatches(sets={name: matches.sets[name] for name in names}, pixel_factors=matches.pixel_factors)
+        how = {name: hand_overs[estimator][name] for name in names}
+        runs = each_run(run, own, case.name, estimator=estimator, seeds=(0,), hand_overs=how)
+        found += [(estimator, name, outcome) for name, _, outcome in runs]
+    return matches, found
+
+
+def case_records(
+    *, case: KindCase, group: str, inputs: Mapping[str, Sequence[str]], hand_overs: HandOvers, truth: TruthSettings
+) -> list[KindRecord]:
+    """Return one record per estimator and input of a case, and one of COLMAP's own verification of matches."""
+    known = None if case.pair is None else pair_truth(case.pair, truth)
+    matches, runs = case_runs(estimate_from_matches, case, inputs, hand_overs)
+    found = [*runs, *((COLMAP, "snn", one) for one in _colmap(matches))]
+    # Errors are meant at working size; control points are given pixels.
+    unit = max(matches.pixel_factors)
+    records = []
+    for estimator, name, one in found:
+        error = np.nan
+        if known is not None and one.F is not None:
+            error = float(errors_px(one.F, known.x1, known.x2).mean()) / unit
+        records.append(
+            KindRecord(
+                group=group,
+                pair_id=case.name,
+                scene=case.block,
+                kind=case.kind,
+                estimator=estimator,
+                input=name,
+                status=str(one.status),
+                geometry=str(one.geometry),
+                confidence=one.confidence,
+                support=one.support,
+                matches=len(one.x1),
+                error_px=error,
+            )
+        )
+    return records
+
+
+def _colmap(matches: PairMatches) -> Iterator[FundamentalEstimate]:
+    """Yield what COLMAP's verification says of mutual nearest neighbours; support counts only where it gives an F."""
+    import pycolmap
+
+    if "snn" not in matches.sets:
+        return
+    (given,) = matches.sets["snn"]
+    assert given.image_sizes is not None
+    cameras = []
+    for width, height in given.image_sizes:
+        size = (round(width), round(height))
+        cameras.append(pycolmap.Camera.create(0, pycolmap.CameraModelId.SIMPLE_RADIAL, 1.2 * max(size), *size))
+    rows = np.column_stack([np.arange(len(given))] * 2).astype(np.uint32)
+    answer = pycolmap.estimate_two_view_geometry(cameras[0], given.x1 + 0.5, cameras[1], given.x2 + 0.5, rows)
+    kinds = pycolmap.TwoViewGeometryConfiguration
+    general = answer.config in (kinds.CALIBRATED, kinds.UNCALIBRATED)
+    flat = answer.config in (kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC)
+    inliers = np.zeros(len(given), np.bool_)
+    inliers[np.asarray(answer.inlier_matches, np.int64).reshape(-1, 2)[:, 0]] = general or flat
+    yield FundamentalEstimate(
+        status=Status.OK if general else Status.DEGENERATE if flat else Status.NO_MODEL,
+        F=None if not general or answer.F is None else _SHIFT.T @ np.asarray(answer.F) @ _SHIFT,
+        x1=given.x1,
+        x2=given.x2,
+        inliers=inliers,
+        support=int(inliers.sum()) if general else 0,
+        geometry=Geometry.GENERAL if general else Geometry.PLANAR if flat else Geometry.NONE,
+        estimator=COLMAP,
+    )
