@@ -22,7 +22,7 @@ from epiprior_lab.pairsets.files import (
 )
 from epiprior_lab.pairsets.pair import Pair
 
-EVERY = 8  # of all pairs, in their order, one in so many is changed
+EVERY = 16  # of all pairs, in their order, one in so many is changed
 
 Size = tuple[int, int]
 
