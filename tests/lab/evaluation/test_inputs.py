@@ -34,7 +34,7 @@ def test_shared_features_and_files_change_nothing(pairs, tiny_model, tmp_path):
         np.testing.assert_array_equal(a.x2, b.x2)
         np.testing.assert_array_equal(a.rough_matrices, b.rough_matrices)
     assert got.pixel_factors == (1.0, 1.0)
-    assert min(got.features) > 300
+    assert min(got.features["default"]) > 300
 
 
 def test_matches_do_not_depend_on_estimators():

@@ -60,7 +60,10 @@ def test_records_of_a_pair(pairs, tiny_model, tmp_path):
     (about,) = tables.pairs.to_dict("records")
     assert (about["group"], about["pair_id"], about["scene"]) == ("g", "relief-0", "relief")
     assert (about["labels"], about["points"], about["difficulty"]) == ("control_points", "control_points", "easy")
-    assert (about["features1"], about["features2"]) == files.features
+    assert (about["features1"], about["features2"]) == files.features["standard"]
+    assert tables.rankings[["features1", "features2"]].drop_duplicates().to_numpy().tolist() == [
+        [*files.features["snn"]]
+    ]
     assert np.isnan(about["true_roll_deg"])  # no cameras
     assert abs((about["expected_roll_deg"] + 180) % 360 - 180) < 5
 

@@ -7,6 +7,7 @@ import pytest
 
 from epiprior_lab.report.decision import decision_figure, decision_table
 from epiprior_lab.report.results import Results
+from epiprior_lab.report.sections import Material, _changed
 from epiprior_lab.report.tables import changed_table
 from synthetic_tables import photograph_tables, timing_table
 
@@ -29,7 +30,7 @@ def test_every_input_is_a_point(photographs, tmp_path):
     assert (tmp_path / "decision.png").stat().st_size > 10_000
 
 
-def test_changed_pairs_stand_beside_the_same_pairs_as_they_were():
+def test_changed_pairs_stand_beside_the_same_pairs_as_they_were(photographs):
     tables = photograph_tables()
     assert changed_table(Results(tables, by="difficulty", hard=("hard",), draws=100, seed=0), THRESHOLDS).empty
     frames = {}
@@ -50,3 +51,8 @@ def test_changed_pairs_stand_beside_the_same_pairs_as_they_were():
     assert row["successes"] == 0
     learnt = table[table["input"] == "aliked"]
     assert (learnt["successes"] == learnt["unchanged"]).all()
+    how = {"params": photographs.params, "figures": {}, "kind": "photographs", "extras": photographs.extras}
+    blocks = list(_changed(Material(results=results, tables={"changed": table}, **how)))
+    assert blocks[0].startswith("One pair in 8")
+    assert [block.head for block in blocks[2::2]] == [["matches", "estimator", "as they are (2)", "turned90"]] * 2
+    assert blocks[2].rows[2] == ["snn", row["estimator"], f"{row['unchanged']:.1f}", "0.0"]
