@@ -103,7 +103,9 @@ def _runs(rng, key, inputs, *, cameras, labelled):
         measures = {"error_px": error, "median_error_px": 0.8 * error, "distance": error / 100 if labelled else np.nan}
         measures |= {"confidence": 0.97, "rotation_deg": turned, "translation_deg": 2 * turned}
         measures = measures if found else dict.fromkeys(measures, np.nan)
-        yield RunRecord(**key, estimator=estimator, input=name, seed=seed, status=status, geometry=kind, **counts, **measures)
+        yield RunRecord(
+            **key, estimator=estimator, input=name, seed=seed, status=status, geometry=kind, **counts, **measures
+        )
 
 
 def _calibration(rng, key, name):

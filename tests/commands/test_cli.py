@@ -18,9 +18,9 @@ import epiprior
 from command_line import PAIR, FakeLibrary, one_line
 from command_line import run_command as run
 from epiprior import ImageError, ModelError, Status
-from epiprior.types import Geometry
 from epiprior.io import read_matches
 from epiprior.presets import find_preset
+from epiprior.types import Geometry
 from pictures import relief_pair, save, texture
 from synthetic import make_estimate, make_matches
 from tiny_model import make_model
@@ -46,12 +46,21 @@ def images(tmp_path):
 
 
 def test_estimate_as_json(library):
-    result = run("estimate", "a.jpg", "b.jpg", "--json", "--estimator", "prosac", "--seed", 5, "--threshold", 2.5)
+    asked = ("--min-confidence", 0.4)
+    result = run(
+        "estimate", "a.jpg", "b.jpg", "--json", "--estimator", "prosac", "--seed", 5, "--threshold", 2.5, *asked
+    )
     assert (result.exit_code, result.stderr) == (0, "")
     printed = json.loads(result.stdout)
     assert list(printed) == [*KEYS.split(), "seconds", "message"]
     np.testing.assert_array_equal(printed["F"], PAIR.F)
-    wanted = {"status": "ok", "support": PAIR.right.sum(), "matches": len(PAIR.matches), "geometry": "general", "seed": 5}
+    wanted = {
+        "status": "ok",
+        "support": PAIR.right.sum(),
+        "matches": len(PAIR.matches),
+        "geometry": "general",
+        "seed": 5,
+    }
     wanted |= {"confidence": 0.875, "preset": "default", "seconds": {"estimator": 0.25}}
     assert {name: printed[name] for name in wanted} == wanted
     assert library.options() == {
@@ -61,6 +70,7 @@ def test_estimate_as_json(library):
         "settings": find_preset("default"),
         "seed": 5,
         "threshold_px": 2.5,
+        "min_confidence": 0.4,
     }
 
 
