@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from epiprior.two_view import estimate_fundamental as estimate_fundamental
     from epiprior.types import Features as Features
     from epiprior.types import FundamentalEstimate as FundamentalEstimate
+    from epiprior.types import Geometry as Geometry
     from epiprior.types import MatchSet as MatchSet
     from epiprior.types import RankedMatches as RankedMatches
     from epiprior.types import Status as Status
@@ -54,7 +55,7 @@ _NAMES = {
     "rank": ("rank_matches",),
     "ranking.models": ("load_model",),
     "two_view": ("estimate_fundamental",),
-    "types": ("Features", "FundamentalEstimate", "MatchSet", "RankedMatches", "Status"),
+    "types": ("Features", "FundamentalEstimate", "Geometry", "MatchSet", "RankedMatches", "Status"),
     "verification.cascade": ("CascadeRule",),
 }  # fmt: skip
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}

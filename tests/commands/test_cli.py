@@ -46,7 +46,10 @@ def images(tmp_path):
 
 
 def test_estimate_as_json(library):
-    result = run("estimate", "a.jpg", "b.jpg", "--json", "--estimator", "prosac", "--seed", 5, "--threshold", 2.5)
+    asked = ("--min-confidence", 0.4)
+    result = run(
+        "estimate", "a.jpg", "b.jpg", "--json", "--estimator", "prosac", "--seed", 5, "--threshold", 2.5, *asked
+    )
     assert (result.exit_code, result.stderr) == (0, "")
     printed = json.loads(result.stdout)
     assert list(printed) == [*KEYS.split(), "seconds", "message"]
@@ -67,6 +70,7 @@ def test_estimate_as_json(library):
         "settings": find_preset("default"),
         "seed": 5,
         "threshold_px": 2.5,
+        "min_confidence": 0.4,
     }
 
 

@@ -6,19 +6,12 @@ import numpy as np
 import pytest
 
 from epiprior.estimators import fit
-from epiprior.geometry import sampson_distance
 from epiprior.types import MatchSet
-from epiprior.verification.degeneracy import fit_homography
-from epiprior.verification.facts import COLUMNS, UNKNOWN, Facts, describe_estimate
+from epiprior.verification.facts import COLUMNS, UNKNOWN
 from synthetic import HEIGHT, WIDTH, make_pair
+from synthetic_facts import facts_of
 
 SIZES = ((float(WIDTH), float(HEIGHT)), (float(WIDTH), float(HEIGHT)))
-
-
-def facts_of(F, matches: MatchSet, **options) -> Facts:
-    near = sampson_distance(F, matches.x1, matches.x2) < 1.5
-    H = fit_homography(matches.x1[near], matches.x2[near], 4.0)
-    return describe_estimate(F, H, matches, matches, matches, 1.5, **options)
 
 
 def noisy_features(matches: MatchSet, right) -> MatchSet:

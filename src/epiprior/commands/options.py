@@ -33,6 +33,10 @@ Threshold = Annotated[
     float | None,
     typer.Option(help="Inlier threshold, pixels. Default: the estimator's own, as chosen on validation scenes."),
 ]
+MinConfidence = Annotated[
+    float | None,
+    typer.Option(help="Status ok from this confidence on, 0 to 1. Default: what 1 % of unrelated pairs reach."),
+]
 MaxImageSize = Annotated[
     int | None,
     typer.Option(help="Longer side at which images are worked on, pixels. Default: the preset's.", show_default=False),

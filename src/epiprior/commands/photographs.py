@@ -19,6 +19,7 @@ from epiprior.commands.options import (
     Image2,
     MaxFeatures,
     MaxImageSize,
+    MinConfidence,
     Mode,
     Preset,
     Seed,
@@ -74,6 +75,7 @@ def estimate(
     mode: Mode = "preprocess",
     seed: Seed = 0,
     threshold: Threshold = None,
+    min_confidence: MinConfidence = None,
     preset: Preset = "default",
     features: Detector = "sift",
     max_image_size: MaxImageSize = None,
@@ -93,7 +95,14 @@ def estimate(
 
     settings = chosen_settings(preset, features, max_image_size, max_features)
     found = estimate_fundamental(
-        image1, image2, estimator=estimator, mode=mode, settings=settings, seed=seed, threshold_px=threshold
+        image1,
+        image2,
+        estimator=estimator,
+        mode=mode,
+        settings=settings,
+        seed=seed,
+        threshold_px=threshold,
+        min_confidence=min_confidence,
     )
     if sys.stdout.isatty() if as_json is None else not as_json:
         print_estimate(found)

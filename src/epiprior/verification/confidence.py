@@ -27,6 +27,7 @@ CONFIDENCE_TARGETS = {
 }  # fmt: skip
 MODEL = "confidence"
 _OVERLAY_SHARE = 0.2
+_FLAT = 0.3  # where a homography is likelier than a right F; on unrelated pairs its probability is below 0.02
 _MESSAGES = {
     Geometry.PLANAR: "one plane: F is not determined",
     Geometry.ROTATION: "the camera only turned or zoomed: F is not determined",
@@ -70,7 +71,7 @@ def judge(facts: Facts, kind: Geometry | None, model: ConfidenceModel, min_confi
     """
     right, flat = model.probabilities(facts)
     least = model.min_confidence if min_confidence is None else min_confidence
-    if kind is not None and flat >= 0.5 and flat > right:
+    if kind is not None and flat >= _FLAT and flat > right:
         return Verdict(status=Status.DEGENERATE, geometry=kind, confidence=right, message=_MESSAGES[kind])
     if right >= least:
         return Verdict(status=Status.OK, geometry=Geometry.GENERAL, confidence=right)

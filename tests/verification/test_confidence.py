@@ -1,0 +1,115 @@
+"""The model of the confidence: read whole or refused, and what follows from its probabilities."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from epiprior.errors import ModelError, SettingsError
+from epiprior.ranking.models import find_model
+from epiprior.types import Geometry, Status
+from epiprior.verification.confidence import (
+    CONFIDENCE_TARGETS,
+    ConfidenceModel,
+    check_min_confidence,
+    judge,
+    load_confidence,
+)
+from epiprior.verification.facts import COLUMNS
+from synthetic import make_pair
+from synthetic_facts import facts_of
+
+
+class Fixed:
+    """A classifier that always says the same."""
+
+    columns = ("support", "share")
+
+    def __init__(self, value):
+        self.value = value
+
+    def __call__(self, rows):
+        assert rows.shape == (1, 2)
+        return np.array([self.value])
+
+
+@pytest.fixture(scope="module")
+def facts():
+    pair = make_pair()
+    return facts_of(pair.F, pair.matches)
+
+
+def verdict(facts, right, flat, kind=Geometry.PLANAR, **options):
+    return judge(facts, kind, ConfidenceModel({}, Fixed(right), Fixed(flat), 0.25), **options)
+
+
+def test_status_and_geometry_follow_from_both_probabilities(facts):
+    sure = verdict(facts, 0.9, 0.05)
+    assert (sure.status, sure.geometry, sure.confidence, sure.message) == (Status.OK, Geometry.GENERAL, 0.9, "")
+    flat = verdict(facts, 0.3, 0.9)
+    assert (flat.status, flat.geometry) == (Status.DEGENERATE, Geometry.PLANAR)
+    assert flat.message == "one plane: F is not determined"
+    assert "copies" in verdict(facts, 0.1, 0.9, Geometry.IDENTICAL).message
+    for found in (
+        verdict(facts, 0.1, 0.05),
+        verdict(facts, 0.1, 0.9, None),
+        verdict(facts, 0.5, 0.05, min_confidence=0.6),
+    ):
+        assert (found.status, found.geometry) == (Status.NO_MODEL, Geometry.NONE)
+        assert "no more agreement than between photographs of different places" in found.message
+
+
+def test_an_overlay_is_named_where_nothing_else_agrees(facts):
+    on_overlay = replace(facts, apart=0.1)
+    assert "watermark" in verdict(on_overlay, 0.1, 0.05).message
+    assert verdict(on_overlay, 0.9, 0.05).status is Status.OK
+
+
+def test_the_packaged_model_takes_facts_of_this_version():
+    model = load_confidence()
+    for target, columns in CONFIDENCE_TARGETS.items():
+        assert getattr(model, target).columns == columns
+    assert 0 < model.min_confidence < 1
+    assert model.manifest["min_confidence"] == model.min_confidence
+    assert load_confidence() is model
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return shutil.copytree(find_model("confidence"), tmp_path / "confidence")
+
+
+def changed(folder, change):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    change(manifest)
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+def test_a_damaged_model_is_refused(folder, tmp_path):
+    with pytest.raises(ModelError, match="no such folder"):
+        load_confidence(tmp_path / "nowhere")
+    changed(folder, lambda manifest: manifest.update(min_confidence=1.5))
+    with pytest.raises(ModelError, match=r"min_confidence is 1\.5"):
+        load_confidence(folder)
+    other = shutil.copytree(folder, tmp_path / "other")
+    changed(other, lambda manifest: manifest.pop("min_confidence"))
+    with pytest.raises(ModelError, match="min_confidence is None"):
+        load_confidence(other)
+
+
+def test_unknown_facts_are_named(folder):
+    def rename(manifest):
+        manifest["confidence"]["features"][0] = "weather"
+
+    changed(folder, rename)
+    assert "weather" not in COLUMNS
+    with pytest.raises(ModelError, match="weather"):
+        load_confidence(folder)
+
+
+@pytest.mark.parametrize("bad", [-0.1, 1.1, np.nan, None, True, "0.9"])
+def test_a_confidence_out_of_range_is_named(bad):
+    with pytest.raises(SettingsError, match="min_confidence"):
+        check_min_confidence(bad)
