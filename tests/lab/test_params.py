@@ -135,7 +135,7 @@ def test_what_follows_from_parameters():
     assert set(study.all_inputs) == {*INPUTS, "fast"}
     assert study.inputs_and_peers == study.inputs_by_estimator
     every = ("standard", "snn", "default", "adalam", "gms")
-    assert photographs.inputs_and_peers["usac"] == (*every, "aliked", "disk", "xfeat")
+    assert photographs.inputs_and_peers["usac"] == (*every, "aliked", "xfeat")
     assert photographs.inputs_and_peers["epiprior"] == every
     assert replace(photographs, peers=None).inputs_and_peers == photographs.inputs_by_estimator
     for wrong in ({"loftr": ("usac",)}, {"aliked": ("usac2",)}):
