@@ -50,9 +50,9 @@ def test_a_photograph_is_described_once_per_orientation(monkeypatch):
     assert not np.array_equal(wanted[0], wanted[1])
     described = []
 
-    def counted(grey, frames):
+    def counted(photograph, frames):
         described.append(len(frames))
-        return describe_frames(grey, frames)
+        return describe_frames(photograph, frames)
 
     monkeypatch.setattr(describe, "describe_frames", counted)
     photo = load_photograph(image)
@@ -91,7 +91,7 @@ def test_described_again_at_their_own_orientation_features_look_the_same():
     photo = load_photograph(texture(*SIZE, 2))
     found = detect_features(photo)
     frames = np.column_stack([found.xy, found.scale, found.orientation_deg])
-    again = normalise_descriptors(describe_frames(photo.grey, frames), root=False, centred=True)
+    again = normalise_descriptors(describe_frames(photo, frames), root=False, centred=True)
     first = normalise_descriptors(found.descriptors, root=False, centred=True)
     similarity = (first * again).sum(axis=1)
     assert np.median(similarity) > 0.999

@@ -1,41 +1,36 @@
 """Descriptors of features: at a fixed orientation (paper, section 4.2), and normalised (section 4.1)."""
 
-from typing import Any
+import os
+from concurrent.futures import ThreadPoolExecutor
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from epiprior.errors import FeatureError
 from epiprior.features.images import Photograph
-from epiprior.types import Features, Float32Array, FloatArray
+from epiprior.features.scale_space import FIRST_OCTAVE, LAYERS, level_of, octave_levels
+from epiprior.kernels.descriptor import describe_level
+from epiprior.types import Features, Float32Array, FloatArray, IntArray
 
-# Lowe's pyramid as OpenCV and VLFeat build it: sigma of its base, layers of an octave.
-_BASE_SIGMA = 1.6
-_LAYERS = 3
+_CHUNK = 1_000
 
 
-def describe_frames(grey: NDArray[np.uint8], frames: FloatArray) -> Float32Array:
-    """Return SIFT descriptors of `frames` (x, y, sigma, orientation in degrees), shape (N, 128), working pixels."""
-    if not len(frames):
-        return np.empty((0, 128), np.float32)
-    x, y, sigma, angle = frames.T
-    # Which level of the pyramid a sigma belongs to, packed as OpenCV packs it: octave, layer.
-    level = _LAYERS * np.log2(np.maximum(sigma, 1e-3) / _BASE_SIGMA)
-    last = int(np.log2(min(grey.shape))) - 2
-    octave = np.clip(np.floor((level - 0.5) / _LAYERS), -1, max(last, 0)).astype(int)
-    layer = np.clip(np.rint(level - _LAYERS * octave), 1, _LAYERS).astype(int)
-    packed = (octave & 255) | (layer << 8)
-    columns = (x, y, 2 * sigma, np.mod(angle, 360.0), packed)
-    keypoints = [
-        cv2.KeyPoint(px, py, size, turn, 0.0, pack)
-        for px, py, size, turn, pack in zip(*(c.tolist() for c in columns), strict=True)
-    ]
-    opencv: Any = cv2  # its stubs lack the factories of detectors
-    kept, descriptors = opencv.SIFT_create(enable_precise_upscale=True).compute(grey, keypoints)
-    if descriptors is None or len(kept) != len(frames):
-        raise FeatureError(f"SIFT described {len(kept)} of {len(frames)} features; are they inside the image?")
-    return np.asarray(descriptors, dtype=np.float32)
+def describe_frames(photograph: Photograph, frames: FloatArray) -> Float32Array:
+    """Return SIFT descriptors of `frames` (x, y, sigma, orientation in degrees), shape (N, 128), working pixels.
+
+    They are nearly OpenCV's (`epiprior.kernels.descriptor`), on a scale space that is built once per photograph. The
+    number of threads changes nothing.
+    """
+    descriptors = np.empty((len(frames), 128), np.float32)
+    octave, layer = level_of(photograph, frames[:, 2])
+    scaled = frames * np.column_stack([*[0.5**octave] * 3, np.full(len(frames), np.pi / 180)])
+    work: list[tuple[Float32Array, IntArray]] = []
+    for k in range(FIRST_OCTAVE, int(octave.max(initial=FIRST_OCTAVE - 1)) + 1):
+        levels = octave_levels(photograph, k)
+        for level in range(LAYERS):
+            rows = np.flatnonzero((octave == k) & (layer == level + 1))
+            work += [(levels[level], rows[first : first + _CHUNK]) for first in range(0, len(rows), _CHUNK)]
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        list(pool.map(lambda part: describe_level(part[0], scaled, part[1], descriptors), work))
+    return descriptors
 
 
 def describe_at_orientation(photograph: Photograph, features: Features, orientation_deg: float) -> Float32Array:
@@ -48,7 +43,7 @@ def describe_at_orientation(photograph: Photograph, features: Features, orientat
     frames = np.column_stack([photograph.to_working(features.xy), features.scale / photograph.factor, angle])
     key = frames.tobytes()
     if key not in photograph.described:
-        descriptors = describe_frames(photograph.grey, frames)
+        descriptors = describe_frames(photograph, frames)
         descriptors.flags.writeable = False
         photograph.described[key] = descriptors
     return photograph.described[key]

@@ -4,9 +4,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from epiprior.errors import FeatureError
+from epiprior.features.describe import describe_frames
 from epiprior.features.images import Photograph
 from epiprior.presets import FeatureSettings
 from epiprior.types import Features, Float32Array, FloatArray
@@ -23,7 +23,7 @@ def detect_features(photograph: Photograph, settings: FeatureSettings | None = N
     frames, descriptors = np.empty((0, 4)), np.empty((0, 128), np.float32)
     if min(photograph.grey.shape) >= _MIN_IMAGE_SIDE:
         detect = _sift if settings.detector == "sift" else _colmap_sift
-        frames, descriptors = detect(photograph.grey, settings)
+        frames, descriptors = detect(photograph, settings)
         shown = photograph.shows(frames[:, :2])
         frames, descriptors = frames[shown], descriptors[shown]
     return Features(
@@ -38,7 +38,7 @@ def detect_features(photograph: Photograph, settings: FeatureSettings | None = N
 # Detectors return frames (x, y, sigma, orientation in degrees), shape (N, 4), working pixels, and (N, 128) descriptors.
 
 
-def _sift(grey: NDArray[np.uint8], settings: FeatureSettings) -> tuple[FloatArray, Float32Array]:
+def _sift(photograph: Photograph, settings: FeatureSettings) -> tuple[FloatArray, Float32Array]:
     opencv: Any = cv2  # its stubs lack the factories of detectors
     detector = opencv.SIFT_create(
         # The strongest are kept of those that are large enough.
@@ -47,19 +47,16 @@ def _sift(grey: NDArray[np.uint8], settings: FeatureSettings) -> tuple[FloatArra
         # Without the precise upscaling OpenCV's keypoints are biased by a quarter of a pixel.
         enable_precise_upscale=True,
     )
-    keypoints, descriptors = detector.detectAndCompute(grey, None)
-    if descriptors is None:
-        return np.empty((0, 4)), np.empty((0, 128), np.float32)
-    frames = np.array([(*k.pt, k.size / 2, k.angle) for k in keypoints], dtype=np.float64)
+    keypoints = detector.detect(photograph.grey)
+    frames = np.array([(*k.pt, k.size / 2, k.angle) for k in keypoints], dtype=np.float64).reshape(-1, 4)
     if settings.min_scale:
         large = np.flatnonzero(frames[:, 2] >= settings.min_scale)
         response = np.array([k.response for k in keypoints])
-        kept = large[np.argsort(-response[large], kind="stable")[: settings.max_keypoints]]
-        frames, descriptors = frames[kept], descriptors[kept]
-    return frames, descriptors
+        frames = frames[large[np.argsort(-response[large], kind="stable")[: settings.max_keypoints]]]
+    return frames, describe_frames(photograph, frames)
 
 
-def _colmap_sift(grey: NDArray[np.uint8], settings: FeatureSettings) -> tuple[FloatArray, Float32Array]:
+def _colmap_sift(photograph: Photograph, settings: FeatureSettings) -> tuple[FloatArray, Float32Array]:
     try:
         import pycolmap
     except ImportError as error:
@@ -69,7 +66,7 @@ def _colmap_sift(grey: NDArray[np.uint8], settings: FeatureSettings) -> tuple[Fl
     options.sift.max_num_features = settings.max_keypoints
     options.sift.peak_threshold = max(settings.contrast_threshold / 3.0, 1e-9)  # it must be positive
     extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
-    keypoints, found = extractor.extract(pycolmap.Bitmap.from_array(grey))
+    keypoints, found = extractor.extract(pycolmap.Bitmap.from_array(photograph.grey))
     frames = np.asarray(pycolmap.keypoints_to_matrix(keypoints), dtype=np.float64).reshape(-1, 4)
     # COLMAP's origin is the corner of the top-left pixel; its descriptors are square roots of L1-normalised ones.
     frames[:, :2] -= 0.5

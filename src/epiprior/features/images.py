@@ -38,7 +38,7 @@ class Photograph:
     """An image as it is worked on: grey, no larger than asked for.
 
     It keeps what `describe_at_orientation` computed for it: image 1 is described alike under every roll hypothesis, and
-    both images under every preset.
+    both images under every preset. The scale space that this takes, 64 bytes a pixel, stays as well.
     """
 
     grey: NDArray[np.uint8]  # (h, w), the working image
@@ -46,6 +46,7 @@ class Photograph:
     visible: BoolArray | None = None  # (h, w), where the image is not transparent; None: everywhere
     name: str = ""  # of the file, for messages; empty for an array
     described: dict[bytes, Float32Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+    octaves: dict[int, list[Float32Array]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def factors(self) -> FloatArray:
