@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.estimators.evidence import Evidence
-from epiprior.estimators.proposals import oriented_pairs, plane_and_parallax, progressive_rows
+from epiprior.estimators.proposals import fit_all, oriented_pairs, plane_and_parallax, progressive_rows
 from epiprior.estimators.protocol import EstimatorSettings, PartOfEpiprior, RawModel
 from epiprior.geometry import MIN_MATCHES, as_columns, sampson_distance
 from epiprior.kernels.compilation import announce_compilation
 from epiprior.kernels.local_steps import climb, refine_models
+from epiprior.kernels.parallel import in_chunks
 from epiprior.kernels.samples import generator_state
-from epiprior.kernels.solvers import fit_samples
 from epiprior.types import BoolArray, FloatArray, MatchSet
 from epiprior.verification.measures import camera_plausibility, match_weights, prior_probability, spread_groups
 
@@ -21,6 +21,7 @@ _CLIMBING = np.array([2.0, 4 / 3, 1.0, 1.0])
 _COARSE, _FINE, _NEAR, _PLANE, _AROUND = 4.0, 4 / 3, 2.0, 8 / 3, 16 / 3
 _MIN_DISTANCE_PX = 30.0
 _STATE = 20141
+_REFINED = 20  # models that a thread refines at a time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +56,7 @@ class EpipriorEstimator(PartOfEpiprior):
         announce_compilation(climb, "the estimator epiprior", "about ten seconds")
         search = _Search(single, self.head, settings.threshold_px)
         head, px, samples = search.head, search.px, settings.max_iterations or self.max_iterations
-        drawn = fit_samples(as_columns(head.x1, head.x2), progressive_rows(len(head), samples))
+        drawn = fit_all(as_columns(head.x1, head.x2), progressive_rows(len(head), samples))
         sources = (head.rough_matrices, oriented_pairs(head, self.oriented, _MIN_DISTANCE_PX), drawn)
         kept = (self.kept_rough, self.kept_other, self.kept_other)
         found = search.refined(
@@ -108,21 +109,25 @@ class _Search:
     def refined(self, models: FloatArray) -> FloatArray:
         """Return the models after probability-weighted eight-point fits over shrinking thresholds."""
         models = np.ascontiguousarray(models).copy()
-        columns = as_columns(self.head.x1, self.head.x2)
-        refine_models(models, columns, self.prior[: len(self.head)], _SHRINKING * self.px)
+        columns, prior, thresholds = as_columns(self.head.x1, self.head.x2), self.prior[: len(self.head)], _SHRINKING
+        in_chunks(lambda part: refine_models(models[part], columns, prior, thresholds * self.px), len(models), _REFINED)
         return models
 
     def optimised(self, models: FloatArray, samples: int) -> FloatArray:
         """Return the models after local optimisation of what the matches say for them."""
         models = np.ascontiguousarray(models).copy()
         order = np.argsort(self.group, kind="stable")
-        for F in models:
+
+        def work(part: slice) -> None:
+            F = models[part.start]
             rows = order[sampson_distance(F, self.single.x1, self.single.x2)[order] < _AROUND * self.px]
             columns = as_columns(self.single.x1[rows], self.single.x2[rows])
             climb(
                 F, columns, self.prior[rows], self.weights[rows], self.group[rows], _FINE * self.px,
                 _CLIMBING * self.px, _NEAR * self.px, samples, generator_state(_STATE),
             )  # fmt: skip
+
+        in_chunks(work, len(models), 1)
         return models
 
 

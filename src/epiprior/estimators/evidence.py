@@ -9,7 +9,8 @@ two photographs can have (`epiprior.verification.measures`), which does not depe
 import numpy as np
 
 from epiprior.geometry import SCORE_THRESHOLD_PX, as_columns, centred_columns
-from epiprior.kernels.scores import score_models
+from epiprior.kernels.parallel import in_chunks
+from epiprior.kernels.scores import BLOCK, score_models
 from epiprior.types import FloatArray, IntArray, MatchSet
 from epiprior.verification.measures import camera_plausibility, match_weights, prior_probability, spread_groups
 
@@ -33,7 +34,13 @@ class Evidence:
         found = np.zeros(len(models), np.float32)
         if len(models) and len(self.weights):
             centred = centred_columns(models, self.centre1, self.centre2)
-            score_models(centred, self.columns, self.weights, self.group, np.float32(threshold_px**2), found)
+            limit_sq = np.float32(threshold_px**2)
+
+            def work(part: slice) -> None:
+                some = np.ascontiguousarray(centred[:, part])
+                score_models(some, self.columns, self.weights, self.group, limit_sq, found[part])
+
+            in_chunks(work, len(models), 2 * BLOCK)
         return np.nan_to_num(found.astype(np.float64), nan=0.0)
 
 

@@ -6,6 +6,7 @@ All are deterministic: pairs of matches are taken in order, samples are drawn by
 import numpy as np
 
 from epiprior.geometry import as_columns, sampson_distance
+from epiprior.kernels.parallel import in_chunks
 from epiprior.kernels.solvers import fit_samples
 from epiprior.types import FloatArray, IntArray, MatchSet
 from epiprior.verification.degeneracy import fit_homography, homography_distance
@@ -13,6 +14,7 @@ from epiprior.verification.degeneracy import fit_homography, homography_distance
 FRAME_RADIUS = 6.0
 SAMPLE_SIZE = 8
 _STATE = 20140
+_CHUNK = 512
 
 
 def oriented_pairs(matches: MatchSet, count: int, min_distance_px: float) -> FloatArray:
@@ -29,7 +31,18 @@ def oriented_pairs(matches: MatchSet, count: int, min_distance_px: float) -> Flo
     rows = corners + np.tile(np.arange(4), 2)
     y1 = _with_frame(head.x1, head.scale1, head.orientation1_deg)
     y2 = _with_frame(head.x2, head.scale2, head.orientation2_deg)
-    return np.asarray(fit_samples(as_columns(y1, y2), rows))
+    return fit_all(as_columns(y1, y2), rows)
+
+
+def fit_all(columns: FloatArray, rows: IntArray) -> FloatArray:
+    """Return the eight-point F of each row of `rows` (S, K) into the matches (4, N): shape (S, 3, 3)."""
+    models = np.empty((len(rows), 3, 3))
+
+    def work(part: slice) -> None:
+        models[part] = fit_samples(columns, rows[part])
+
+    in_chunks(work, len(rows), _CHUNK)
+    return models
 
 
 def _with_frame(x: FloatArray, scale: FloatArray, orientation_deg: FloatArray) -> FloatArray:

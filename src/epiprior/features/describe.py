@@ -1,13 +1,11 @@
 """Descriptors of features: at a fixed orientation (paper, section 4.2), and normalised (section 4.1)."""
 
-import os
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 
 from epiprior.features.images import Photograph
 from epiprior.features.scale_space import FIRST_OCTAVE, LAYERS, level_of, octave_levels
 from epiprior.kernels.descriptor import describe_level
+from epiprior.kernels.parallel import in_chunks
 from epiprior.types import Features, Float32Array, FloatArray, IntArray
 
 _CHUNK = 1_000
@@ -28,8 +26,7 @@ def describe_frames(photograph: Photograph, frames: FloatArray) -> Float32Array:
         for level in range(LAYERS):
             rows = np.flatnonzero((octave == k) & (layer == level + 1))
             work += [(levels[level], rows[first : first + _CHUNK]) for first in range(0, len(rows), _CHUNK)]
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        list(pool.map(lambda part: describe_level(part[0], scaled, part[1], descriptors), work))
+    in_chunks(lambda part: describe_level(work[part.start][0], scaled, work[part.start][1], descriptors), len(work), 1)
     return descriptors
 
 

@@ -3,8 +3,8 @@
 A level is smoothed by two pixels or more, so that every second pixel of every second row says all: descriptors differ
 by a cosine of 0.0005 in the median from those of all pixels, for a quarter of the time.
 
-References: Lowe, Distinctive image features from scale-invariant keypoints, IJCV 2004, section 6; OpenCV's ``sift.simd``
-for the constants and for the approximation of the angle, which is right to 0.3 degrees.
+References: Lowe, Distinctive image features from scale-invariant keypoints, IJCV 2004, section 6; OpenCV's
+``sift.simd`` for the constants and for the approximation of the angle, which is right to 0.3 degrees.
 """
 
 import math

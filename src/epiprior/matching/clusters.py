@@ -13,7 +13,7 @@ import numpy as np
 from epiprior.kernels.compilation import compiled
 from epiprior.types import Float32Array, IntArray
 
-_BLOCK = 512
+_BLOCK, _STRIP = 256, 32
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,19 @@ def _root(parent, i):  # type: ignore[no-untyped-def]
 @compiled
 def _join_similar(S, row0, threshold, parent):  # type: ignore[no-untyped-def]
     """Join features whose similarity in this block (rows and columns from `row0`) reaches the threshold."""
+    count = S.shape[1]
     for r in range(S.shape[0]):
-        for c in range(r + 1, S.shape[1]):
-            if S[r, c] >= threshold:
-                a, b = _root(parent, row0 + r), _root(parent, row0 + c)
-                if a < b:
-                    parent[b] = a
-                elif b < a:
-                    parent[a] = b
+        for first in range(r + 1, count, _STRIP):
+            last = min(first + _STRIP, count)
+            similar = np.int32(0)
+            for c in range(first, last):
+                similar += np.int32(S[r, c] >= threshold)
+            if similar == 0:
+                continue
+            for c in range(first, last):
+                if S[r, c] >= threshold:
+                    a, b = _root(parent, row0 + r), _root(parent, row0 + c)
+                    parent[max(a, b)] = min(a, b)
 
 
 @compiled
@@ -130,8 +135,13 @@ def _median_descriptors(descriptors, members, start):  # type: ignore[no-untyped
         column = np.empty(n, np.float32)
         for j in range(descriptors.shape[1]):
             for k in range(n):
-                column[k] = descriptors[members[start[c] + k], j]
-            out[c, j] = np.median(column)
+                v = descriptors[members[start[c] + k], j]
+                q = k  # few members: inserted in order
+                while q > 0 and column[q - 1] > v:
+                    column[q] = column[q - 1]
+                    q -= 1
+                column[q] = v
+            out[c, j] = (column[(n - 1) // 2] + column[n // 2]) / np.float32(2)
     return out
 
 
@@ -142,8 +152,10 @@ def cluster_features(descriptors: Float32Array, min_similarity: float = 0.85) ->
     """
     n = len(descriptors)
     owner = np.arange(n)
+    memory = np.empty(_BLOCK * n, np.float32)  # one for all blocks: fresh memory costs as much as the products
     for row0 in range(0, n, _BLOCK):
-        S = descriptors[row0 : row0 + _BLOCK] @ descriptors[row0:].T
+        rows = descriptors[row0 : row0 + _BLOCK]
+        S = np.matmul(rows, descriptors[row0:].T, out=memory[: len(rows) * (n - row0)].reshape(len(rows), -1))
         _join_similar(S, row0, np.float32(min_similarity), owner)
     _all_roots(owner)
     order = np.argsort(owner, kind="stable")

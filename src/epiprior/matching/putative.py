@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.kernels.compilation import compiled
+from epiprior.kernels.similarity import inner_product
 from epiprior.matching.clusters import Clusters
 from epiprior.matching.standard import nearest_neighbours
 from epiprior.types import Float32Array, IntArray
@@ -65,10 +66,7 @@ def _member_pairs(pairs, members1, start1, members2, start2, d1, d2, limit):  # 
         similarity = np.empty(n, np.float32)
         for r in range(len(a)):
             for c in range(len(b)):
-                dot = np.float32(0)
-                for q in range(d1.shape[1]):
-                    dot += d1[a[r], q] * d2[b[c], q]
-                similarity[r * len(b) + c] = -dot
+                similarity[r * len(b) + c] = -inner_product(d1[a[r]], d2[b[c]])
         order = np.argsort(similarity, kind="mergesort")
         for q in range(limit):
             out[row, 0], out[row, 1] = a[order[q] // len(b)], b[order[q] % len(b)]

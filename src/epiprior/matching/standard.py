@@ -7,7 +7,7 @@ import numpy as np
 from epiprior.kernels.compilation import compiled
 from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
 
-_BLOCK = 512
+_BLOCK, _STRIP = 256, 32
 
 
 @dataclass(frozen=True)
@@ -28,23 +28,30 @@ class Neighbours:
 
 @compiled
 def _update_two_best(S, row0, nearest1, best1, second1, nearest2, best2, second2):  # type: ignore[no-untyped-def]
-    """Enter a block of similarities, rows `row0` onward, into the two best of both sides; ties keep the lower index."""
+    """Enter a block of similarities, rows `row0` onward, into the two best of both sides; ties keep the lower index.
+
+    Most strips of a row hold nothing above a second best of either side, which vector instructions tell.
+    """
+    count = S.shape[1]
     for r in range(S.shape[0]):
         i = row0 + r
-        b, s, k = best1[i], second1[i], nearest1[i]
-        for j in range(S.shape[1]):
-            v = S[r, j]
-            if v > b:
-                s, b, k = b, v, j
-            elif v > s:
-                s = v
-            if v > best2[j]:
-                second2[j] = best2[j]
-                best2[j] = v
-                nearest2[j] = i
-            elif v > second2[j]:
-                second2[j] = v
-        best1[i], second1[i], nearest1[i] = b, s, k
+        for first in range(0, count, _STRIP):
+            last = min(first + _STRIP, count)
+            second, above = second1[i], np.int32(0)
+            for j in range(first, last):
+                above += np.int32(S[r, j] > min(second, second2[j]))
+            if above == 0:
+                continue
+            for j in range(first, last):
+                v = S[r, j]
+                if v > best1[i]:
+                    second1[i], best1[i], nearest1[i] = best1[i], v, j
+                elif v > second1[i]:
+                    second1[i] = v
+                if v > best2[j]:
+                    second2[j], best2[j], nearest2[j] = best2[j], v, i
+                elif v > second2[j]:
+                    second2[j] = v
 
 
 def nearest_neighbours(d1: Float32Array, d2: Float32Array) -> tuple[Neighbours, Neighbours]:
@@ -54,8 +61,11 @@ def nearest_neighbours(d1: Float32Array, d2: Float32Array) -> tuple[Neighbours, 
         for n in (len(d1), len(d2))
     ]
     if len(d1) and len(d2):
+        # One block of memory for all: fresh memory costs as much as the products.
+        block = np.empty((_BLOCK, len(d2)), np.float32)
         for row0 in range(0, len(d1), _BLOCK):
-            _update_two_best(d1[row0 : row0 + _BLOCK] @ d2.T, row0, *sides[0], *sides[1])
+            rows = d1[row0 : row0 + _BLOCK]
+            _update_two_best(np.matmul(rows, d2.T, out=block[: len(rows)]), row0, *sides[0], *sides[1])
     return Neighbours(*sides[0]), Neighbours(*sides[1])
 
 

@@ -12,6 +12,7 @@ ours.
 import numpy as np
 
 from epiprior.kernels.compilation import compiled
+from epiprior.kernels.parallel import in_chunks
 from epiprior.presets import COHERENCE_COLUMNS
 from epiprior.ranking.frames import MatchFrames
 from epiprior.ranking.neighbourhoods import nearest_points
@@ -22,6 +23,7 @@ REACH_PX, LEAST_PX = 300.0, 2.0
 TOLERANCE = 0.4
 _LEAST_WEIGHT = 0.02
 _DOUBT = 0.5
+_CHUNK = 2_000
 
 
 def coherence(frames: MatchFrames, location1: IntArray, weights: FloatArray) -> FloatArray:
@@ -50,19 +52,22 @@ def coherence(frames: MatchFrames, location1: IntArray, weights: FloatArray) -> 
     turn = np.array([np.cos(frames.roll_rad), np.sin(frames.roll_rad)])
     root_scale = np.sqrt(frames.scale2 / frames.scale1)
     of_match = np.searchsorted(own, location1)
-    _agreements(frames.x1, frames.x2, root_scale, turn, weights, of_match, near, NEAR + 1, candidates, start, out)
+    sides = (frames.x1, frames.x2, root_scale, turn, weights, of_match, near, NEAR + 1, candidates, start)
+    in_chunks(lambda part: _agreements(part.start, *sides, out[part]), len(frames), _CHUNK)
     return out
 
 
 @compiled(error_model="numpy")
-def _agreements(x1, x2, root_scale, turn, weights, of_match, near, near_count, candidates, start, out):  # type: ignore[no-untyped-def]
-    for m in range(len(x1)):
+def _agreements(first, x1, x2, root_scale, turn, weights, of_match, near, near_count, candidates, start, out):  # type: ignore[no-untyped-def]
+    """Write the columns of the matches from `first` on, as many as `out` has rows."""
+    for row in range(len(out)):
+        m = first + row
         agreement = 0.0
         most = 0.0
         for e in range(near.shape[1]):
             if e == near_count:
-                out[m, 0] = agreement
-                out[m, 1] = agreement / (most + _DOUBT)
+                out[row, 0] = agreement
+                out[row, 1] = agreement / (most + _DOUBT)
             place = near[of_match[m], e]
             v0 = x1[candidates[start[place]], 0] - x1[m, 0]
             v1 = x1[candidates[start[place]], 1] - x1[m, 1]
@@ -82,10 +87,10 @@ def _agreements(x1, x2, root_scale, turn, weights, of_match, near, near_count, c
                     best = max(best, weights[n] * (1.0 - share))
             agreement += best
             most += highest
-        out[m, 2] = agreement
-        out[m, 3] = agreement / (most + _DOUBT)
+        out[row, 2] = agreement
+        out[row, 3] = agreement / (most + _DOUBT)
         if near.shape[1] <= near_count:
-            out[m, 0], out[m, 1] = out[m, 2], out[m, 3]
+            out[row, 0], out[row, 1] = out[row, 2], out[row, 3]
 
 
 def descriptor_weights(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from epiprior.kernels.compilation import compiled
+from epiprior.kernels.similarity import inner_product
 from epiprior.matching.pair import PreparedPair
 from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
 
@@ -49,14 +50,6 @@ class MatchFrames:
 
 
 @compiled
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    total = np.float32(0)
-    for k in range(len(a)):
-        total += a[k] * b[k]
-    return total
-
-
-@compiled
 def _most_alike(rows1, rows2, twins1, start1, twins2, start2, d1, d2):  # type: ignore[no-untyped-def]
     """For each pair of locations, the two features that are most alike, and their similarity."""
     best1 = np.empty(len(rows1), np.int64)
@@ -66,7 +59,7 @@ def _most_alike(rows1, rows2, twins1, start1, twins2, start2, d1, d2):  # type: 
         best = np.float32(-np.inf)
         for i in twins1[start1[rows1[m]] : start1[rows1[m] + 1]]:
             for j in twins2[start2[rows2[m]] : start2[rows2[m] + 1]]:
-                v = _dot(d1[i], d2[j])
+                v = inner_product(d1[i], d2[j])
                 if v > best:
                     best = v
                     best1[m], best2[m] = i, j
@@ -78,7 +71,7 @@ def _most_alike(rows1, rows2, twins1, start1, twins2, start2, d1, d2):  # type: 
 def _paired_similarity(rows1, rows2, d1, d2):  # type: ignore[no-untyped-def]
     out = np.empty(len(rows1), np.float64)
     for m in range(len(rows1)):
-        out[m] = _dot(d1[rows1[m]], d2[rows2[m]])
+        out[m] = inner_product(d1[rows1[m]], d2[rows2[m]])
     return out
 
 

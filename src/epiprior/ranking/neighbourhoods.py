@@ -24,12 +24,30 @@ class Neighbourhoods:
 def nearest_points(points: FloatArray, queries: FloatArray, count: int) -> tuple[FloatArray, IntArray]:
     """Return distances and indices of the `count` nearest points of each query, shape (Q, min(count, P)).
 
-    Ties are broken by index, so that the order does not depend on the tree.
+    Ties, to 1e-9, are broken by index, so that the order does not depend on the tree.
     """
     k = min(count, len(points))
-    distance, index = (each.reshape(len(queries), k) for each in cKDTree(points).query(queries, k=k))
-    order = np.lexsort((index, np.round(distance, 9)), axis=1)
-    return np.take_along_axis(distance, order, 1), np.take_along_axis(index, order, 1).astype(np.int64)
+    found = cKDTree(points).query(queries, k=k, workers=-1)
+    distance, index = (np.ascontiguousarray(each.reshape(len(queries), k)) for each in found)
+    index = index.astype(np.int64, copy=False)
+    _order_ties(distance, index)
+    return distance, index
+
+
+@compiled
+def _order_ties(distance, index):  # type: ignore[no-untyped-def]
+    """Sort rows that are sorted but for ties by rounded distance, then by index, in place."""
+    for row in range(len(distance)):
+        for q in range(1, distance.shape[1]):
+            d, n = distance[row, q], index[row, q]
+            key, k = np.rint(d * 1e9), q
+            while k > 0:
+                before = np.rint(distance[row, k - 1] * 1e9)
+                if before < key or (before == key and index[row, k - 1] < n):
+                    break
+                distance[row, k], index[row, k] = distance[row, k - 1], index[row, k - 1]
+                k -= 1
+            distance[row, k], index[row, k] = d, n
 
 
 def neighbourhoods(

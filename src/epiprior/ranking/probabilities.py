@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from epiprior.kernels.compilation import compiled
 from epiprior.matching.putative import PutativeMatches
 from epiprior.matching.standard import StandardTable
 from epiprior.presets import MATCH_COLUMNS
@@ -48,16 +49,23 @@ def lookup(values: FloatArray, rows: IntArray, missing: float) -> FloatArray:
     return out
 
 
-def best_rival(score: FloatArray, feature: IntArray) -> FloatArray:
-    """Return for each match the highest score among the other matches of its feature; 0 without any."""
-    order = np.lexsort((-score, feature))
-    group = feature[order]
-    is_first = np.diff(group, prepend=-1) != 0
-    first = np.maximum.accumulate(np.where(is_first, np.arange(len(order)), 0))
-    has_second = np.append(~is_first[1:], False) if len(order) else is_first
-    second = np.where(has_second, np.append(score[order][1:], 0.0) if len(order) else score, 0.0)
+@compiled
+def best_rival(score, feature):  # type: ignore[no-untyped-def]
+    """Return for each match the highest score >= 0 among the other matches of its feature; 0 without any."""
+    size = 0
+    for f in feature:
+        size = max(size, f + 1)
+    best, second, holder = np.zeros(size), np.zeros(size), np.full(size, -1)
+    for m in range(len(score)):
+        f = feature[m]
+        if holder[f] < 0 or score[m] > best[f]:
+            second[f], best[f], holder[f] = best[f], score[m], m
+        elif score[m] > second[f]:
+            second[f] = score[m]
     rival = np.empty(len(score))
-    rival[order] = np.where(is_first, second, score[order][first])
+    for m in range(len(score)):
+        f = feature[m]
+        rival[m] = second[f] if holder[f] == m else best[f]
     return rival
 
 

@@ -1,12 +1,10 @@
 """Step 6: rough fundamental matrices from pairs of 2keypoint matches, and their votes (paper, section 4.5)."""
 
-import os
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 
 from epiprior.geometry import centred_columns
 from epiprior.kernels.compilation import compiled
+from epiprior.kernels.parallel import in_chunks
 from epiprior.kernels.sampson import residual
 from epiprior.kernels.solvers import fill_row
 from epiprior.ranking.frames import MatchFrames
@@ -57,12 +55,10 @@ def rough_fundamental_matrices(y1: FloatArray, y2: FloatArray) -> FloatArray:
     i, j = np.triu_indices(len(y1), 1)
     F = np.empty((len(i), 3, 3))
 
-    def work(first: int) -> None:
-        part = slice(first, first + _PAIRS)
+    def work(part: slice) -> None:
         F[part] = _fit_pairs(y1, y2, i[part], j[part])
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        list(pool.map(work, range(0, len(i), _PAIRS)))
+    in_chunks(work, len(i), _PAIRS)
     return F
 
 
@@ -145,10 +141,8 @@ def count_votes(
     w = np.ones(len(F), np.float32) if weights is None else weights.astype(np.float32)
     p1, p2 = (x1 - c1).astype(np.float32), (x2 - c2).astype(np.float32)
 
-    def work(first: int) -> None:
-        part = slice(first, first + _CHUNK)
+    def work(part: slice) -> None:
         add_votes(columns, w, p1[part], p2[part], np.float32(threshold**2), votes[part], weighted[part])
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        list(pool.map(work, range(0, len(x1), _CHUNK)))
+    in_chunks(work, len(x1), _CHUNK)
     return votes, weighted.astype(np.float64)
