@@ -128,7 +128,7 @@ def test_copies_are_scaled_turned_and_shifted(degrees):
 
 
 def test_points_beside_a_line():
-    x = np.column_stack([np.arange(100.0), 0.4 * np.arange(100)])
+    x = np.column_stack([10.0 * np.arange(100), 4.0 * np.arange(100)])
     assert share_beside_line(x, 4.0) == 0
     x[::5, 1] += 100
     assert share_beside_line(x, 4.0) == pytest.approx(0.2)

@@ -51,7 +51,7 @@ def test_text_from_what_cannot_move_with_the_scene_decides_nothing(kind, seed, e
 
 
 def test_matches_on_an_overlay_are_not_apart_from_it():
-    matches = standard_matches(*unrelated("tiled watermark", 0))
+    matches = standard_matches(*unrelated("bars of a screen", 0))
     still = np.linalg.norm(matches.x2 - matches.x1, axis=1) < 1
     assert still.sum() >= 3
     assert not apart_from_overlay(matches.x1, matches.x2)[still].any()
