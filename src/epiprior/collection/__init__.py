@@ -1,1 +1,1 @@
-"""Collections: features once, pairs on processes or a cluster, what is ready on disk, models of COLMAP, files of hloc."""
+"""Collections: features once, pairs on workers, what is ready on disk; COLMAP databases and models, hloc files."""

@@ -5,6 +5,7 @@ import hashlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -36,6 +37,10 @@ class MatchSettings:
     estimator: str = "epiprior"
     seed: int = 0
     threshold_px: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.mode not in get_args(Mode):
+            raise SettingsError(f"mode is {self.mode!r}, known: {', '.join(get_args(Mode))}")
 
     def pair_key(self, feature_keys: tuple[str, str]) -> bytes:
         """Return what the matches of two images depend on."""

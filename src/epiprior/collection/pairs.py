@@ -15,6 +15,7 @@ Pair = tuple[int, int]
 
 _WORDS = 4096
 _SAMPLE = 200_000  # descriptors that the words are made of
+_LEAST_SHARE = 8  # descriptors of the sample per word
 _ROUNDS = 8
 _BLOCK = 8192
 
@@ -63,9 +64,8 @@ def _listed(path: Path, places: dict[str, int]) -> list[Pair]:
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.startswith("#"):
             continue
-        words = line.split(" ") if "\t" not in line else line.split("\t")
         # A name may hold blanks: the line is cut where both parts are names.
-        cuts = [(" ".join(words[:k]).strip(), " ".join(words[k:]).strip()) for k in range(1, len(words))]
+        cuts = {(line[:k].strip(), line[k:].strip()) for k, letter in enumerate(line) if letter.isspace()}
         found = [cut for cut in cuts if all(part in places for part in cut)]
         if len(found) != 1:
             raise SettingsError(
@@ -119,7 +119,7 @@ def _ordered(a: int, b: int) -> Pair:
 
 
 def _learn_words(sample: Float32Array, rng: np.random.Generator) -> Float32Array:
-    words = sample[np.sort(rng.choice(len(sample), min(_WORDS, len(sample)), replace=False))]
+    words = sample[np.sort(rng.choice(len(sample), min(_WORDS, -(-len(sample) // _LEAST_SHARE)), replace=False))]
     for _ in range(_ROUNDS):
         label = _nearest(sample, words)
         order = np.argsort(label, kind="stable")

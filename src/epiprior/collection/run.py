@@ -2,7 +2,9 @@
 
 import contextlib
 import os
+import shutil
 import tempfile
+import weakref
 from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,7 +45,6 @@ class MatchedCollection:
     feature_keys: Sequence[str] = field(repr=False)
     how: MatchSettings = field(repr=False)
     store: PairStore = field(repr=False)
-    scratch: Any = field(default=None, repr=False)  # the folder `work`, where it is temporary
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -114,15 +115,15 @@ def match_collection(
     names = [image.name for image in found.images]
     wanted = default_pairs(len(names)) if pairs is None else pairs
     planned = choose_pairs(wanted, names)
-    scratch = tempfile.TemporaryDirectory(prefix="epiprior-") if work is None else None
-    folder = Path(os.path.abspath(work or scratch.name))  # type: ignore[union-attr]  # noqa: PTH100
+    scratch = tempfile.mkdtemp(prefix="epiprior-") if work is None else None
+    folder = Path(os.path.abspath(scratch if work is None else work))  # type: ignore[arg-type]  # noqa: PTH100
     try:
         (folder / "features").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror}") from error
     store = PairStore(folder / "pairs.db")
     with contextlib.ExitStack() as stack:
-        stack.callback(store.close)
+        stack.callback(_let_go, store, scratch)
         with open_pool(workers, scheduler) as pool:
             keys = _find_features(pool, found.images, folder, chosen, given, on_progress)
             if planned is None:
@@ -130,11 +131,18 @@ def match_collection(
             assert planned is not None
             planned = [(a, b) for a, b in planned if (names[a], names[b]) not in without]
             matched = MatchedCollection(
-                images=found, pairs=planned, work=folder, feature_keys=keys, how=how, store=store, scratch=scratch
+                images=found, pairs=planned, work=folder, feature_keys=keys, how=how, store=store
             )
             _match_pairs(pool, matched, on_pair, on_progress)
         stack.pop_all()
+    weakref.finalize(matched, _let_go, store, scratch)
     return matched
+
+
+def _let_go(store: PairStore, scratch: str | None) -> None:
+    store.close()
+    if scratch is not None:
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _find_features(

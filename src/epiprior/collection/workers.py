@@ -15,7 +15,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeVar
@@ -34,9 +34,9 @@ class WorkerError(EpipriorError):
 
 @dataclass(frozen=True, kw_only=True)
 class Pool:
-    """An executor, and how many tasks should be on their way, so that no worker waits and memory stays bounded."""
+    """How a call is handed out, and how many should be on their way: no worker waits, and memory stays bounded."""
 
-    executor: Executor
+    submit: Callable[..., Future[Any]]
     capacity: Callable[[], int]
 
 
@@ -60,12 +60,12 @@ def open_pool(workers: int | None = None, scheduler: str | None = None) -> Itera
         local.process = _start()
         started.append(local.process)
 
-    def call(function: Callable[..., Any], *args: Any) -> Any:
-        return _ask(local.process, function, args)
+    def ask(*call: Any) -> Any:
+        return _ask(local.process, call)
 
     executor = ThreadPoolExecutor(count, initializer=start)
     try:
-        yield Pool(executor=_Calling(executor, call), capacity=lambda: 2 * count)
+        yield Pool(submit=lambda *call: executor.submit(ask, *call), capacity=lambda: 2 * count)
     except BaseException:
         for process in started:
             process.kill()
@@ -81,17 +81,6 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-@dataclass(frozen=True)
-class _Calling(Executor):
-    """Hand every call to `call`, which runs in a thread of the executor."""
-
-    executor: Executor
-    call: Callable[..., Any]
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        return self.executor.submit(self.call, fn, *args, **kwargs)
-
-
 def _start() -> subprocess.Popen[bytes]:
     paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)  # noqa: PTH100 - the empty one too
     environment = {**os.environ, **_ONE_THREAD, "PYTHONPATH": paths}
@@ -99,11 +88,11 @@ def _start() -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
 
 
-def _ask(process: subprocess.Popen[bytes], function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+def _ask(process: subprocess.Popen[bytes], call: tuple[Any, ...]) -> Any:
     assert process.stdin is not None
     assert process.stdout is not None
     try:
-        pickle.dump((function, args), process.stdin, protocol=5)
+        pickle.dump(call, process.stdin, protocol=5)
         process.stdin.flush()
         value = pickle.load(process.stdout)
     except (EOFError, OSError, pickle.UnpicklingError) as error:
@@ -124,7 +113,7 @@ def run_tasks(pool: Pool, function: Callable[..., Any], jobs: Iterable[Job[Key]]
     while True:
         room = 0 if failure else max(0, pool.capacity() - len(running))
         for key, args in islice(waiting, room):
-            running[pool.executor.submit(run_alone, function, args)] = key
+            running[pool.submit(run_alone, function, args)] = key
         if not running:
             break
         for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -170,7 +159,7 @@ def _on_cluster(address: str) -> Iterator[Pool]:
     with client:
         executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]
         try:
-            yield Pool(executor=executor, capacity=lambda: 2 * max(1, len(client.nthreads())))  # type: ignore[no-untyped-call]
+            yield Pool(submit=executor.submit, capacity=lambda: 2 * max(1, len(client.nthreads())))  # type: ignore[no-untyped-call]
         except BaseException:
             executor.shutdown(wait=False)
             raise
@@ -183,7 +172,7 @@ def _serve() -> None:
     os.dup2(2, 1)  # what a library prints is no reply
     while True:
         try:
-            function, args = pickle.load(sys.stdin.buffer)
+            function, *args = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
         try:
