@@ -93,7 +93,7 @@ def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tup
 def extend_database(path: Path, matched: MatchedCollection, least: float) -> int:
     """Add the pairs to a database that holds the features of the images; return how many have a geometry.
 
-    It is one transaction: after a kill the database is as it was.
+    After a kill the database is as it was; after an error it holds the pairs before it, and may be extended again.
     """
     import pycolmap
 

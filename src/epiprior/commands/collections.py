@@ -90,21 +90,21 @@ def sfm(
     from epiprior.collection.images import find_images
     from epiprior.collection.model import map_database
     from epiprior.collection.report import write_report
-    from epiprior.io.colmap import check_colmap_output
+    from epiprior.io.colmap import find_pycolmap
 
     settings = chosen_settings(preset, features, max_image_size, max_features)
     database, work = out / "database.db", out / "work"
+    find_pycolmap(database)
     if out.exists() and not work.is_dir() and any(out.iterdir()):
         raise OutputError(f"{out}: is neither empty nor made by this command")
-    out.mkdir(parents=True, exist_ok=True)
-    database.unlink(missing_ok=True)
-    check_colmap_output(database)
     found = find_images(images, mask_path=mask_path)
     cameras = infer_cameras(found, CameraSettings(mode=camera_mode, model=camera_model, params=camera_params))
+    work.mkdir(parents=True, exist_ok=True)
     matched = _match(
         found, pairs=pairs, mode=mode, workers=workers, scheduler=scheduler, estimator=estimator, seed=seed,
         threshold_px=threshold, settings=settings, work=work,
     )  # fmt: skip
+    database.unlink(missing_ok=True)
     count = write_database(database, matched, cameras, min_confidence)
     say(f"{database}: {count} of {len(matched)} pairs have a geometry")
     _logger.info("mapping")

@@ -89,13 +89,19 @@ def write_colmap_database(
 
 def check_colmap_output(path: Path) -> ModuleType:
     """Return pycolmap, or raise OutputError, before any work is done, where `path` can never be written."""
+    pycolmap = find_pycolmap(path)
+    check_output(path)
+    if path.exists():
+        raise OutputError(f"{path}: exists already; a database is not overwritten")
+    return pycolmap
+
+
+def find_pycolmap(path: Path) -> ModuleType:
+    """Return pycolmap, or raise OutputError, which names what was to be written."""
     try:
         import pycolmap
     except ImportError as error:
         raise OutputError(f"{path}: a COLMAP database needs pycolmap: pip install 'pycolmap>=4,<5'") from error
-    check_output(path)
-    if path.exists():
-        raise OutputError(f"{path}: exists already; a database is not overwritten")
     return pycolmap  # type: ignore[no-any-return, unused-ignore]
 
 
