@@ -19,6 +19,8 @@ from epiprior.types import BoolArray
 
 _logger = logging.getLogger(__name__)
 _SUFFIXES = frozenset([".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm", ".pnm", ".jp2"])
+_EXIF = (b"Exif", b"eXIf", b"EXIF")  # what introduces an orientation in JPEG, PNG and WebP
+_TIFF = (b"II", b"MM")
 _MOST_NAMED = 5
 
 
@@ -145,7 +147,8 @@ def _checked(root: Path, path: Path, masks: Path | None) -> tuple[CollectionImag
     # An eighth of the size suffices: what is turned has other sides or other pixels.
     stored = read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
     content = path.read_bytes()
-    turned = b"Exif" in content and not np.array_equal(stored, read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8))
+    tagged = content[:2] in _TIFF or any(tag in content for tag in _EXIF)
+    turned = tagged and not np.array_equal(stored, read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8))
     digest, mask = hashlib.sha256(content), None
     if masks is not None:
         choices = (masks / f"{name}.png", (masks / name).with_suffix(".png"))

@@ -176,6 +176,8 @@ def colmap(
     if database.exists():
         if images is not None and len(images) != 1:
             raise OutputError(f"{database}: exists already; to add to it, give the folder of its images, or none")
+        if mask_path is not None:
+            raise typer.BadParameter(f"{database} has features already: --mask-path comes too late")
         filled = read_filled(database, images[0] if images else None, roots=roots)
         matched = _match(filled.images, given=filled.features, without=filled.verified, **options)
         count = extend_database(database, matched, min_confidence)
