@@ -30,6 +30,12 @@ def test_errors_are_those_of_the_task(tmp_path):
         assert list(run_tasks(pool, math.sqrt, [(1, (4.0,))])) == [(1, 2.0)]
 
 
+def test_a_worker_of_another_installation_is_refused(monkeypatch):
+    monkeypatch.setattr("epiprior.collection.workers.installation", lambda: "mine")
+    with open_pool(1) as pool, pytest.raises(SettingsError, match="has another epiprior"):
+        list(run_tasks(pool, math.sqrt, [(1, (4.0,))]))
+
+
 def test_a_killed_worker_is_told():
     with open_pool(1) as pool, pytest.raises(WorkerError, match="a worker was killed"):
         list(run_tasks(pool, os._exit, [(1, (1,))]))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from epiprior.collection.images import CollectionImage, ImageSet, find_images
+from epiprior.collection.images import ImageSet, known_images
 from epiprior.collection.run import MatchedCollection
 from epiprior.errors import FeatureError, ImageError, OutputError, SettingsError
 from epiprior.io.colmap import add_camera, add_image, add_pair, check_colmap_output
@@ -154,11 +154,8 @@ def read_filled(path: Path, folder: Path | None, *, roots: int = 1) -> FilledDat
     pairs = frozenset(
         tuple(sorted((names[number // _MOST_IMAGES], names[number % _MOST_IMAGES]))) for number in numbers
     )
-    called = sorted(names.values())
-    if folder is None:
-        images = ImageSet(root=path.parent, images=tuple(CollectionImage(name=name, path=None) for name in called))
-    else:
-        images = find_images(folder, known=called)
     return FilledDatabase(
-        images=images, features=lambda name: read_colmap_features(path, name, roots=roots), verified=pairs
+        images=known_images(list(names.values()), folder, path),
+        features=lambda name: read_colmap_features(path, name, roots=roots),
+        verified=pairs,
     )

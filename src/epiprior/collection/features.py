@@ -4,11 +4,9 @@ A file holds the features of one image and their descriptors at the roll hypothe
 depend on. A pair then decodes a photograph only under another roll hypothesis.
 """
 
-import functools
 import hashlib
 import io
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,27 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.collection.images import CollectionImage, read_mask
+from epiprior.collection.workers import installation
 from epiprior.errors import FeatureError, ImageError
 from epiprior.features.describe import describe_at_orientation, remember_description
 from epiprior.features.detect import detect_features
 from epiprior.features.images import Photograph, blank_photograph, load_photograph
 from epiprior.features.locations import unique_locations
 from epiprior.presets import FeatureSettings
-from epiprior.settings_file import find_settings_file
 from epiprior.types import Features, Float32Array, IntArray
-
-
-@functools.cache
-def installation() -> str:
-    """Return a digest of the version, the source and the models of epiprior, as they are when first asked for."""
-    digest = hashlib.sha256(metadata.version("epiprior").encode())
-    package = Path(__file__).resolve().parents[1]
-    files = sorted(package.rglob("*.py"))
-    if (rule := find_settings_file("cascade.json")) is not None:
-        files += sorted(path for path in rule.parent.rglob("*") if path.is_file() and path.suffix in (".json", ".onnx"))
-    for path in files:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def feature_key(image: CollectionImage, settings: FeatureSettings, given: Features | None = None) -> str:

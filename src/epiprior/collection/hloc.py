@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epiprior.collection.images import CollectionImage, ImageSet, find_images
+from epiprior.collection.images import ImageSet, known_images
 from epiprior.collection.run import MatchedCollection
 from epiprior.errors import FeatureError, OutputError
 from epiprior.io.output import check_output, replacing
@@ -44,9 +44,7 @@ def read_hloc_images(features: Path, folder: Path | None) -> ImageSet:
     if len(set(pairs)) < len(pairs):
         twice = next(name for name, pair in zip(called, pairs, strict=True) if pairs.count(pair) > 1)
         raise FeatureError(f"{features}: {twice!r} is called like another image once hloc writes - for /")
-    if folder is not None:
-        return find_images(folder, known=called)
-    return ImageSet(root=features.parent, images=tuple(CollectionImage(name=name, path=None) for name in called))
+    return known_images(called, folder, features)
 
 
 def write_hloc_matches(path: Path, matched: MatchedCollection, least: float) -> int:

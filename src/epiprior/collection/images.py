@@ -104,6 +104,14 @@ def find_images(
     return ImageSet(root=root, images=tuple(images), left_out=tuple(left_out))
 
 
+def known_images(names: Sequence[str], folder: Path | None, file: Path) -> ImageSet:
+    """Return the images whose features a `file` holds, by name; `folder` holds their photographs, if at hand."""
+    called = sorted(names)
+    if folder is not None:
+        return find_images(folder, known=called)
+    return ImageSet(root=file.parent, images=tuple(CollectionImage(name=name, path=None) for name in called))
+
+
 def read_mask(path: Path) -> BoolArray:
     """Return where a mask is not black, (H, W)."""
     return np.asarray(read_image(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION) > 0)

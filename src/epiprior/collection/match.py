@@ -10,9 +10,10 @@ from typing import get_args
 import numpy as np
 from scipy.spatial import cKDTree
 
-from epiprior.collection.features import StoredFeatures, first_rows, installation, read_features
+from epiprior.collection.features import StoredFeatures, first_rows, read_features
 from epiprior.collection.images import CollectionImage
 from epiprior.collection.store import MatchedPair
+from epiprior.collection.workers import installation
 from epiprior.errors import SettingsError
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.presets import Mode, PreprocessSettings
@@ -53,14 +54,9 @@ def geometry_of(found: FundamentalEstimate) -> tuple[str, float]:
 
 
 def match_pair(
-    images: tuple[CollectionImage, CollectionImage], files: tuple[Path, Path], how: MatchSettings, expected: str
+    images: tuple[CollectionImage, CollectionImage], files: tuple[Path, Path], how: MatchSettings
 ) -> MatchedPair:
-    """Match two images whose features are in files: a task.
-
-    SettingsError if the installation of the worker is not the `expected` one.
-    """
-    if installation() != expected:
-        raise SettingsError("a worker has another epiprior than the process that sent the task; start the workers anew")
+    """Match two images whose features are in files: a task."""
     start = time.perf_counter()
     stored = _read(files[0]), _read(files[1])
     view1, view2 = (one.view(image, how.settings.features) for one, image in zip(stored, images, strict=True))

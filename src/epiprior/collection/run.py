@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from epiprior.collection.features import feature_key, installation, make_features, read_features
+from epiprior.collection.features import feature_key, make_features, read_features
 from epiprior.collection.images import CollectionImage, ImageSet, find_images
 from epiprior.collection.match import MatchSettings, match_pair
 from epiprior.collection.pairs import Pair, choose_pairs, default_pairs
@@ -209,7 +209,7 @@ def _match_pairs(
                 ready(store.read(key))
             else:
                 a, b = pair
-                yield key, ((images[a], images[b]), (matched.file(a), matched.file(b)), matched.how, installation())
+                yield key, ((images[a], images[b]), (matched.file(a), matched.file(b)), matched.how)
 
     for key, pair in run_tasks(pool, match_pair, jobs()):
         store.write(key, pair)

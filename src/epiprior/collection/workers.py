@@ -6,6 +6,8 @@ results are the same bytes for any number of workers.
 """
 
 import contextlib
+import functools
+import hashlib
 import os
 import pickle
 import signal
@@ -17,10 +19,13 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from importlib import metadata
 from itertools import islice
+from pathlib import Path
 from typing import Any, TypeVar
 
 from epiprior.errors import EpipriorError, SettingsError
+from epiprior.settings_file import find_settings_file
 
 Key = TypeVar("Key")
 Job = tuple[Key, tuple[Any, ...]]
@@ -113,7 +118,7 @@ def run_tasks(pool: Pool, function: Callable[..., Any], jobs: Iterable[Job[Key]]
     while True:
         room = 0 if failure else max(0, pool.capacity() - len(running))
         for key, args in islice(waiting, room):
-            running[pool.submit(run_alone, function, args)] = key
+            running[pool.submit(run_alone, installation(), function, args)] = key
         if not running:
             break
         for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -126,13 +131,31 @@ def run_tasks(pool: Pool, function: Callable[..., Any], jobs: Iterable[Job[Key]]
         raise failure
 
 
+@functools.cache
+def installation() -> str:
+    """Return a digest of the version, the source and the models of epiprior, as they are when first asked for."""
+    digest = hashlib.sha256(metadata.version("epiprior").encode())
+    package = Path(__file__).resolve().parents[1]
+    files = sorted(package.rglob("*.py"))
+    if (rule := find_settings_file("cascade.json")) is not None:
+        files += sorted(path for path in rule.parent.rglob("*") if path.is_file() and path.suffix in (".json", ".onnx"))
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
 _alone = threading.Lock()
 
 
-def run_alone(function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
-    """Call a function in a worker, one at a time, with OpenCV on one thread; a bug comes back as a WorkerError."""
+def run_alone(expected: str, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+    """Call a function in a worker, one at a time, with OpenCV on one thread; a bug comes back as a WorkerError.
+
+    SettingsError if the installation of the worker is not the `expected` one.
+    """
     import cv2
 
+    if installation() != expected:
+        raise SettingsError(f"worker {os.getpid()} on {socket.gethostname()} has another epiprior: start it anew")
     with _alone:
         cv2.setNumThreads(1)
         try:

@@ -30,39 +30,25 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 _SECONDS_BETWEEN_LINES = 10.0
 
-Images = Annotated[list[Path], typer.Argument(metavar="IMAGES", help="A folder, or photographs.", show_default=False)]
-MaybeImages = Annotated[
-    list[Path] | None, typer.Argument(metavar="[IMAGES]", help="A folder, or photographs.", show_default=False)
-]
-Pairs = Annotated[
-    str | None,
-    typer.Option(
-        help="'exhaustive', 'sequential:K', 'similar:K', or a file with two names per line. Default: exhaustive up to "
-        "200 images, else similar:20.",
-        show_default=False,
-    ),
-]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes. Default: all cores.", show_default=False)]
-Scheduler = Annotated[
-    str | None, typer.Option(help="Address of a dask cluster, instead of processes.", show_default=False)
-]
+_PAIRS = "'exhaustive' (default up to 200 images), 'similar:K' (default beyond, K = 20), 'sequential:K', or a file."
+Images = Annotated[list[Path], typer.Argument(metavar="IMAGES", help="A folder, or photographs.")]
+MaybeImages = Annotated[list[Path] | None, typer.Argument(metavar="[IMAGES]", help="A folder, or photographs.")]
+Pairs = Annotated[str | None, typer.Option(help=_PAIRS)]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes. Default: all cores.")]
+Scheduler = Annotated[str | None, typer.Option(help="Address of a dask cluster, instead of processes.")]
+Work = Annotated[Path | None, typer.Option(help="Folder that keeps what is ready. Default: the output, .work added.")]
 MinConfidence = Annotated[float, typer.Option(min=0, max=1, help="Geometries below it are not written.")]
 CameraMode = Annotated[Literal["single", "per-folder", "per-image"], typer.Option(help="Which images share a camera.")]
 CameraModel = Annotated[str, typer.Option(help="COLMAP's name of the camera model.")]
-CameraParams = Annotated[
-    str,
-    typer.Option(help="Camera parameters, separated by commas. Default: inferred as by COLMAP.", show_default=False),
-]
-MaskPath = Annotated[
-    Path | None, typer.Option(help="Folder of masks NAME.png, black where nothing is to be found.", show_default=False)
-]
+CameraParams = Annotated[str, typer.Option(help="Its parameters, with commas. Default: inferred as by COLMAP.")]
+MaskPath = Annotated[Path | None, typer.Option(help="Folder of masks NAME.png, black where nothing is to be found.")]
 Roots = Annotated[int, typer.Option(min=0, help="How many times the root was taken of the stored descriptors.")]
 
 
 def sfm(
     images: Images,
     *,
-    out: Annotated[Path, typer.Option(help="Folder for the model and all that leads to it.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder for the model and all that leads to it.")],
     pairs: Pairs = None,
     mode: Mode = "cascade",
     workers: Workers = None,
@@ -122,12 +108,7 @@ def sfm(
 def colmap(
     images: MaybeImages = None,
     *,
-    database: Annotated[
-        Path,
-        typer.Option(
-            help="COLMAP database: a new one, or one with features, to which matches are added.", show_default=False
-        ),
-    ],
+    database: Annotated[Path, typer.Option(help="A new one, or one with features, to which matches are added.")],
     pairs: Pairs = None,
     mode: Mode = "cascade",
     workers: Workers = None,
@@ -138,10 +119,7 @@ def colmap(
     camera_params: CameraParams = "",
     mask_path: MaskPath = None,
     roots: Roots = 1,
-    work: Annotated[
-        Path | None,
-        typer.Option(help="Folder that keeps what is ready. Default: DATABASE.work.", show_default=False),
-    ] = None,
+    work: Work = None,
     estimator: Estimator = "epiprior",
     seed: Seed = 0,
     threshold: Threshold = None,
@@ -158,13 +136,7 @@ def colmap(
 
         epiprior colmap images/ --database scene.db
     """
-    from epiprior.collection.database import (
-        CameraSettings,
-        extend_database,
-        infer_cameras,
-        read_filled,
-        write_database,
-    )
+    from epiprior.collection import database as colmap_database
     from epiprior.collection.images import find_images
     from epiprior.io.colmap import check_colmap_output
 
@@ -178,17 +150,18 @@ def colmap(
             raise OutputError(f"{database}: exists already; to add to it, give the folder of its images, or none")
         if mask_path is not None:
             raise typer.BadParameter(f"{database} has features already: --mask-path comes too late")
-        filled = read_filled(database, images[0] if images else None, roots=roots)
+        filled = colmap_database.read_filled(database, images[0] if images else None, roots=roots)
         matched = _match(filled.images, given=filled.features, without=filled.verified, **options)
-        count = extend_database(database, matched, min_confidence)
+        count = colmap_database.extend_database(database, matched, min_confidence)
     else:
         if not images:
             raise typer.BadParameter(f"{database} does not exist, and there are no photographs")
         check_colmap_output(database)
         found = find_images(images, mask_path=mask_path)
-        cameras = infer_cameras(found, CameraSettings(mode=camera_mode, model=camera_model, params=camera_params))
+        how = colmap_database.CameraSettings(mode=camera_mode, model=camera_model, params=camera_params)
+        cameras = colmap_database.infer_cameras(found, how)
         matched = _match(found, **options)
-        count = write_database(database, matched, cameras, min_confidence)
+        count = colmap_database.write_database(database, matched, cameras, min_confidence)
     say(f"{database}: {count} of {len(matched)} pairs have a geometry; {matched.work} can be deleted")
     _exit_without(count, matched)
     say(f"map it: colmap mapper --database_path {database} --image_path {matched.images.root} --output_path sparse")
@@ -205,9 +178,7 @@ def hloc(
     scheduler: Scheduler = None,
     min_confidence: MinConfidence = 0.5,
     roots: Roots = 2,
-    work: Annotated[
-        Path | None, typer.Option(help="Folder that keeps what is ready. Default: MATCHES.work.", show_default=False)
-    ] = None,
+    work: Work = None,
     estimator: Estimator = "epiprior",
     seed: Seed = 0,
     threshold: Threshold = None,
