@@ -38,10 +38,11 @@ class Model:
     error_px: float
 
 
-def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0) -> list[Model]:
+def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0, refine: bool = True) -> list[Model]:
     """Map a database; return its models, the one with most images first, none where nothing could be mapped.
 
     `out` is made anew: a folder ``0``, ``1``, ... for each model. One thread and a fixed seed give the same bytes.
+    Without `refine` the intrinsics of the cameras stay as they are.
     """
     import pycolmap
 
@@ -49,6 +50,7 @@ def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0) 
     out.mkdir(parents=True)
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed, options.ignore_watermarks = 1, seed, True
+    options.ba_refine_focal_length = options.ba_refine_extra_params = refine
     with _quiet(pycolmap):
         found = pycolmap.incremental_mapping(database, image_root, out, options)
     models = []
