@@ -24,6 +24,25 @@ def small_images(folder: Path, names=("a.png", "b.png", "c.png")) -> list[Path]:
     return [folder / name for name in names]
 
 
+def views(folder, count=5):
+    """Views of pictures that hang at different depths, from cameras side by side: the nearer, the further it moves."""
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    hung = [
+        (shift, rng.integers(0, 560), rng.integers(0, 220), texture(140, 110, k))
+        for k, shift in enumerate(range(24, 64, 2))
+    ]
+    for k in range(count):
+        view = texture(700, 300, 99)[:, 15 * k : 15 * k + 480].copy()
+        for shift, x, y, picture in hung:  # the nearest last
+            left, right = max(0, x - k * shift), min(480, x - k * shift + 140)
+            if left < right:
+                part = picture[: 300 - y, left - x + k * shift : right - x + k * shift]
+                view[y : y + 110, left:right] = part
+        save(folder / f"{k}.png", view)
+    return folder
+
+
 class FakeEstimation:
     """Matches the k-th place of image 1 with the k-th of image 2; notes the calls; `status` is that of all answers."""
 

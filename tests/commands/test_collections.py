@@ -11,12 +11,12 @@ import pytest
 import typer
 
 import epiprior
-from collections_fakes import FakeEstimation, in_this_process, small_images
+from collections_fakes import FakeEstimation, in_this_process, small_images, views
 from command_line import one_line
 from command_line import run_command as run
 from epiprior import Status
 from epiprior.presets import find_preset
-from pictures import save, texture, turned_jpeg
+from pictures import turned_jpeg
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -146,25 +146,6 @@ def test_hloc(estimation, images, tmp_path):
     with h5py.File(tmp_path / "matches.h5") as file:
         assert list(file["Photo 1.png"]) == ["Photo 2.png", "Photo 3.png"]
     assert "matches.h5: exists already" in one_line(run(*command))
-
-
-def views(folder, count=5):
-    """Views of pictures that hang at different depths, from cameras side by side: the nearer, the further it moves."""
-    folder.mkdir()
-    rng = np.random.default_rng(0)
-    hung = [
-        (shift, rng.integers(0, 560), rng.integers(0, 220), texture(140, 110, k))
-        for k, shift in enumerate(range(24, 64, 2))
-    ]
-    for k in range(count):
-        view = texture(700, 300, 99)[:, 15 * k : 15 * k + 480].copy()
-        for shift, x, y, picture in hung:  # the nearest last
-            left, right = max(0, x - k * shift), min(480, x - k * shift + 140)
-            if left < right:
-                part = picture[: 300 - y, left - x + k * shift : right - x + k * shift]
-                view[y : y + 110, left:right] = part
-        save(folder / f"{k}.png", view)
-    return folder
 
 
 @pytest.mark.slow

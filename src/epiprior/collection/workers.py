@@ -202,8 +202,11 @@ def _serve() -> None:
             reply = function(*args)
         except Exception as error:  # noqa: BLE001 - whoever asked gets it
             reply = error
-        pickle.dump(reply, replies, protocol=5)
-        replies.flush()
+        try:
+            pickle.dump(reply, replies, protocol=5)
+            replies.flush()
+        except BrokenPipeError:  # the parent was killed
+            os._exit(1)
 
 
 if __name__ == "__main__":
