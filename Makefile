@@ -1,10 +1,10 @@
 # Needs make and Python 3.11 or newer; everything else comes from requirements.lock into .venv.
 # Variables: PYTHON (interpreter that makes .venv), EPIPRIOR_WORKERS (processes; default: all cores), PORT (of `make ui`),
-# DATA (folder of pair sets for `make real`), EPIPRIOR_SCHEDULER (dask scheduler that gets the work).
+# DATA (folder of pair sets for `make real` and `make sfm`), EPIPRIOR_SCHEDULER (dask scheduler that gets the work).
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help repro real peers test test-lowest lint format ui check-lock lock wheel clean
+.PHONY: help repro real sfm peers test test-lowest lint format ui check-lock lock wheel clean
 
 find-python = for python in python3.11 python3.12 python3.13 python3 python; do \
 	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && echo "$$python" && break; done
@@ -46,6 +46,9 @@ real: $(READY)  ## evaluate photographs: make real DATA=FOLDER links its pair se
 	@echo
 	@echo "Report   reports/real/index.html, reports/real/performance.md, reports/real/tables"
 	@echo "Gallery  data/photographs-gallery/index.html (shows the photographs: not to be passed on)"
+
+sfm: $(READY)  ## structure from motion on bags of photographs: make sfm DATA=FOLDER of pair sets; rows in data/sfm.csv
+	$(BIN)/python benchmarks/sfm.py $(DATA) --out data/sfm.csv
 
 peers: $(PEERS)  ## make the environment of the rankers and learned matchers against which photographs are measured (5.6 GB)
 

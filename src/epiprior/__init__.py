@@ -12,6 +12,9 @@ from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from epiprior.collection.run import MatchedCollection as MatchedCollection
+    from epiprior.collection.run import match_collection as match_collection
+    from epiprior.collection.store import MatchedPair as MatchedPair
     from epiprior.errors import EpipriorError as EpipriorError
     from epiprior.errors import EstimatorError as EstimatorError
     from epiprior.errors import FeatureError as FeatureError
@@ -45,6 +48,8 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 # Public names and their modules. They are imported when first used: `epiprior --help` needs no compiled library.
 _NAMES = {
+    "collection.run": ("MatchedCollection", "match_collection"),
+    "collection.store": ("MatchedPair",),
     "errors": (
         "EpipriorError", "EstimatorError", "FeatureError", "ImageError", "ModelError", "OutputError", "SettingsError",
     ),

@@ -194,26 +194,6 @@ def test_draw_without_geometry_still_draws(library, images, tmp_path):
     assert library.options()["ranked"] is None
 
 
-def test_colmap(library, images, tmp_path):
-    pycolmap = pytest.importorskip("pycolmap")
-    result = run("colmap", *images, "--database", tmp_path / "out.db")
-    assert result.exit_code == 0, result.stderr
-    with pycolmap.Database.open(tmp_path / "out.db") as database:
-        assert database.num_verified_image_pairs() == 1
-    again = run("colmap", *images, "--database", tmp_path / "out.db")
-    assert again.exit_code == 2
-    assert "out.db: exists already" in one_line(again)
-
-
-def test_colmap_without_geometry(library, images, tmp_path):
-    pytest.importorskip("pycolmap")
-    library.estimate = estimate_of(Status.DEGENERATE, "a plane")
-    result = run("--quiet", "colmap", *images, "--database", tmp_path / "out.db")
-    assert result.exit_code == 1
-    assert "degenerate" in one_line(result)
-    assert run("colmap", images[0], "--database", tmp_path / "one.db").exit_code == 2
-
-
 def test_estimators():
     assert "usac" in run("estimators").stdout
     rows = {row["name"]: row for row in json.loads(run("estimators", "--json").stdout)}
@@ -229,7 +209,7 @@ def test_info_of_nothing(tmp_path):
 
 
 def test_help_version_and_usage():
-    for name in ("match", "estimate", "draw", "info", "colmap"):
+    for name in ("match", "estimate", "draw", "info", "sfm", "colmap", "hloc"):
         result = run(name, "--help")
         assert result.exit_code == 0
         assert name in result.stdout
@@ -356,6 +336,7 @@ def test_what_is_not_installed(with_model, photographs, tmp_path, monkeypatch):
         (["estimate", *pair, "--estimator", "prosac"], 'prosac is not installed: pip install "epiprior[poselib]"'),
         (["draw", *pair, "--estimator", "prosac", "--out", tmp_path / "f.png"], "prosac is not installed"),
         (["colmap", *pair, "--database", tmp_path / "new.db"], "needs pycolmap: pip install 'pycolmap>=4,<5'"),
+        (["sfm", *pair, "--out", tmp_path / "scene"], "needs pycolmap: pip install 'pycolmap>=4,<5'"),
     ):
         result = run("--quiet", *arguments)
         assert result.exit_code == 2

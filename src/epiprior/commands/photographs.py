@@ -1,7 +1,5 @@
-"""Commands on photographs: `match`, `estimate`, `draw` and `colmap`."""
+"""Commands on two photographs: `match`, `estimate` and `draw`."""
 
-import itertools
-import logging
 import math
 import sys
 from dataclasses import replace
@@ -28,8 +26,6 @@ from epiprior.commands.options import (
     exit_by_status,
 )
 from epiprior.commands.printing import complain, estimate_as_json, print_estimate, print_json, say, summary
-
-_logger = logging.getLogger(__name__)
 
 
 def match(
@@ -147,57 +143,3 @@ def draw(
     write_picture(out, draw_matches(image1, image2, shown, found, settings=DrawSettings(max_matches=matches)))
     say(f"{out}: {summary(found)}")
     exit_by_status(found)
-
-
-def colmap(
-    images: Annotated[list[Path], typer.Argument(metavar="A B ...", help="Photographs.", show_default=False)],
-    *,
-    database: Annotated[Path, typer.Option(help="COLMAP database to write; must not exist.", show_default=False)],
-    estimator: Estimator = "epiprior",
-    mode: Mode = "preprocess",
-    seed: Seed = 0,
-    threshold: Threshold = None,
-    preset: Preset = "default",
-    features: Detector = "sift",
-    max_image_size: MaxImageSize = None,
-    max_features: MaxFeatures = None,
-) -> None:
-    """Write a COLMAP database with the verified matches of all pairs of the photographs.
-
-    Needs pycolmap. Map it with `colmap mapper` or `pycolmap.incremental_mapping`.
-    Exit code 1 only if no pair at all has a geometry.
-
-        epiprior colmap left.jpg right.jpg --database database.db
-    """
-    from epiprior.features.images import is_hidden_copy, load_photograph
-    from epiprior.io.colmap import ColmapPair, check_colmap_images, check_colmap_output, write_colmap_database
-
-    skipped = [image for image in images if is_hidden_copy(image.name)]
-    if skipped:
-        complain(f"left out {len(skipped)} files named ._*, which hold no image: {skipped[0]}")
-    images = [image for image in images if image not in skipped]
-    if len(images) < 2:
-        raise typer.BadParameter("give at least two photographs")
-    check_colmap_output(database)
-    check_colmap_images(images)
-    settings = chosen_settings(preset, features, max_image_size, max_features)
-    from epiprior import estimate_fundamental
-    from epiprior.estimators import find_estimator
-    from epiprior.features.detect import detect_features
-
-    find_estimator(estimator)
-    photographs = [load_photograph(image, settings.features.max_image_size) for image in images]
-    _logger.info("finding features of %d images", len(images))
-    found_features = [detect_features(photograph, settings.features) for photograph in photographs]
-    estimation = partial(estimate_fundamental, estimator=estimator, mode=mode, seed=seed, threshold_px=threshold)
-    pairs: list[ColmapPair] = []
-    numbers = list(itertools.combinations(range(len(images)), 2))
-    for a, b in numbers:
-        # A copy of a photograph has nothing described yet: what it remembers would grow with the number of pairs.
-        copies, own = (replace(photographs[a]), replace(photographs[b])), (found_features[a], found_features[b])
-        found = estimation(*copies, features1=own[0], features2=own[1], settings=settings)
-        pairs.append(ColmapPair(image1=images[a], image2=images[b], estimate=found))
-        say(f"{len(pairs)}/{len(numbers)} {images[a]} {images[b]}: {summary(found)}")
-    write_colmap_database(database, pairs)
-    if not any(pair.estimate for pair in pairs):
-        exit_by_status(pairs[0].estimate)

@@ -36,14 +36,25 @@ def describe_at_orientation(photograph: Photograph, features: Features, orientat
     The angle is in degrees, clockwise on the screen; `features` are in pixels of the image as given. The descriptors
     are not normalised, and read-only: the photograph keeps them.
     """
-    angle = np.full(len(features), orientation_deg)
-    frames = np.column_stack([photograph.to_working(features.xy), features.scale / photograph.factor, angle])
+    frames = _frames_at(photograph, features, orientation_deg)
     key = frames.tobytes()
     if key not in photograph.described:
         descriptors = describe_frames(photograph, frames)
         descriptors.flags.writeable = False
         photograph.described[key] = descriptors
     return photograph.described[key]
+
+
+def remember_description(
+    photograph: Photograph, features: Features, orientation_deg: float, descriptors: Float32Array
+) -> None:
+    """Give a photograph what `describe_at_orientation` has returned for the same arguments in an earlier run."""
+    photograph.described[_frames_at(photograph, features, orientation_deg).tobytes()] = descriptors
+
+
+def _frames_at(photograph: Photograph, features: Features, orientation_deg: float) -> FloatArray:
+    angle = np.full(len(features), orientation_deg)
+    return np.column_stack([photograph.to_working(features.xy), features.scale / photograph.factor, angle])
 
 
 def normalise_descriptors(descriptors: Float32Array, *, root: bool, centred: bool) -> Float32Array:

@@ -74,6 +74,10 @@ class Photograph:
         shift = 0.5 * scale - 0.5
         return np.array([[scale[0], 0.0, shift[0]], [0.0, scale[1], shift[1]], [0.0, 0.0, 1.0]])
 
+    def pixels(self) -> NDArray[np.uint8]:
+        """Return `grey`; one that is kept without its pixels decodes them."""
+        return self.grey
+
     def shows(self, xy: FloatArray) -> BoolArray:
         """Return at which working pixels, shape (N, 2), the image is not transparent."""
         if self.visible is None:
@@ -85,8 +89,13 @@ class Photograph:
 View = Image | Photograph
 
 
-def load_photograph(image: View, max_image_size: int = 1024) -> Photograph:
+def load_photograph(
+    image: View, max_image_size: int = 1024, *, turn: bool = True, mask: BoolArray | None = None
+) -> Photograph:
     """Read an image, or take a uint8 array (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, as grey values at working size.
+
+    A file is turned by its EXIF orientation unless `turn` is False. Where `mask`, (H, W), is False, the image counts as
+    transparent.
 
     A photograph that was loaded at the same `max_image_size` (longer side, pixels) comes back as it is. ImageError if
     it was loaded at another size, the file is missing or no image, or the array is of another kind or empty.
@@ -100,11 +109,15 @@ def load_photograph(image: View, max_image_size: int = 1024) -> Photograph:
     if isinstance(image, str | Path):
         name = str(image)
         data = _read_bytes(Path(image))
-        grey = _decode(name, data, cv2.IMREAD_GRAYSCALE)
+        grey = _decode(name, data, cv2.IMREAD_GRAYSCALE | (0 if turn else cv2.IMREAD_IGNORE_ORIENTATION))
         visible = _visible_in_file(name, data, grey)
     else:
         name = ""
         grey, visible = _grey_of_array(image)
+    if mask is not None:
+        if mask.shape != grey.shape:
+            raise ImageError(f"{name or 'the image'}: is {grey.shape[::-1]}, its mask {mask.shape[::-1]}")
+        visible = mask if visible is None else visible & mask
     if visible is not None:
         # No texture where there is nothing to see, which would use up the number of features.
         grey = np.where(visible, grey, np.uint8(grey[visible].mean() if visible.any() else 0))
@@ -132,7 +145,8 @@ def blank_photograph(size: tuple[int, int], max_image_size: int = 1024) -> Photo
 def describe_photograph(photograph: Photograph) -> str:
     """Return what may explain few features: the grey values, the working size, and what to set."""
     height, width = photograph.grey.shape
-    darkest, brightest = int(photograph.grey.min()), int(photograph.grey.max())
+    grey = photograph.pixels()
+    darkest, brightest = int(grey.min()), int(grey.max())
     facts = f"(darkest {darkest}, brightest {brightest}; worked at {width} x {height})"
     if darkest == brightest:
         return f"{facts}: the image is blank"

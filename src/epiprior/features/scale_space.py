@@ -47,7 +47,7 @@ def _doubled(photograph: Photograph) -> Float32Array:
     height, width = photograph.grey.shape
     half = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 0.0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    grey = photograph.grey.astype(np.float32)
+    grey = photograph.pixels().astype(np.float32)
     image = cv2.warpAffine(grey, half, (2 * width, 2 * height), flags=flags, borderMode=cv2.BORDER_REFLECT)
     return _blurred(np.asarray(image, np.float32), math.sqrt(_BASE_SIGMA**2 - (2 * _CAMERA_SIGMA) ** 2))
 

@@ -1,4 +1,4 @@
-"""Estimates as a COLMAP database, from which COLMAP or pycolmap maps without matching anything itself.
+"""The one way to write into a COLMAP database, from which COLMAP or pycolmap maps without matching anything itself.
 
 COLMAP puts the centre of the top-left pixel at (0.5, 0.5): that half pixel is added here and nowhere else.
 Its mapper reads ``two_view_geometries``, yet counts a pair only where ``matches`` holds it too. So both are
@@ -79,9 +79,10 @@ def write_colmap_database(
     with replacing(path) as partial:
         database = pycolmap.Database.open(partial)
         try:
-            ids = {image: _write_image(pycolmap, database, image, names[image], keypoints[image]) for image in images}
+            cameras = {image: add_camera(database, pycolmap.infer_camera_from_image(image)) for image in images}
+            ids = {image: add_image(database, names[image], cameras[image], keypoints[image]) for image in images}
             for pair, both in zip(pairs, indices, strict=True):
-                _write_pair(pycolmap, database, pair.estimate, (ids[pair.image1], ids[pair.image2]), both)
+                _add_estimate(database, pair.estimate, (ids[pair.image1], ids[pair.image2]), both)
         except RuntimeError as error:
             raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
         finally:
@@ -90,13 +91,19 @@ def write_colmap_database(
 
 def check_colmap_output(path: Path) -> ModuleType:
     """Return pycolmap, or raise OutputError, before any work is done, where `path` can never be written."""
+    pycolmap = find_pycolmap(path)
+    check_output(path)
+    if path.exists():
+        raise OutputError(f"{path}: exists already; a database is not overwritten")
+    return pycolmap
+
+
+def find_pycolmap(path: Path) -> ModuleType:
+    """Return pycolmap, or raise OutputError, which names what was to be written."""
     try:
         import pycolmap
     except ImportError as error:
         raise OutputError(f"{path}: a COLMAP database needs pycolmap: pip install 'pycolmap>=4,<5'") from error
-    check_output(path)
-    if path.exists():
-        raise OutputError(f"{path}: exists already; a database is not overwritten")
     return pycolmap  # type: ignore[no-any-return, unused-ignore]
 
 
@@ -155,49 +162,90 @@ def _keypoints(
     return keypoints, list(zip(parts[::2], parts[1::2], strict=True))
 
 
-def _write_image(pycolmap: Any, database: Any, image: Path, name: str, keypoints: FloatArray) -> int:
-    """Write an image with its camera, its own rig and frame, and its keypoints; return its id."""
-    camera = pycolmap.infer_camera_from_image(image)
+def add_camera(database: Any, camera: Any) -> int:
+    """Write a camera of pycolmap, and its own rig, which has its number; return the number."""
+    import pycolmap
+
     camera.camera_id = database.write_camera(camera)
     rig = pycolmap.Rig()
     rig.add_ref_sensor(camera.sensor_id)
-    rig_id = database.write_rig(rig)
-    image_id: int = database.write_image(pycolmap.Image(name=name, camera_id=camera.camera_id))
+    rig.rig_id = camera.camera_id
+    database.write_rig(rig, use_rig_id=True)
+    return int(camera.camera_id)
+
+
+def add_image(database: Any, name: str, camera_id: int, keypoints: FloatArray) -> int:
+    """Write an image of a camera that `add_camera` wrote, its frame, and its keypoints (N, 2); return its number."""
+    import pycolmap
+
+    image_id: int = database.write_image(pycolmap.Image(name=name, camera_id=camera_id))
     frame = pycolmap.Frame()
-    frame.rig_id = rig_id
+    frame.rig_id = camera_id
     frame.add_data_id(database.read_image(image_id).data_id)
     database.write_frame(frame)
     database.write_keypoints(image_id, (keypoints + _HALF_PIXEL).astype(np.float32))
     return image_id
 
 
-def _write_pair(
-    pycolmap: Any, database: Any, estimate: FundamentalEstimate, ids: tuple[int, int], indices: Sequence[IntArray]
+def add_pair(
+    database: Any,
+    ids: tuple[int, int],
+    matches: IntArray,
+    *,
+    inliers: int = 0,
+    configuration: str = "",
+    F: FloatArray | None = None,
+    H: FloatArray | None = None,
+) -> None:
+    """Write the matches (M, 2) of a pair of images, and a geometry of COLMAP's `configuration` for the first of them.
+
+    What the database holds for the pair is replaced. `matches` are rows of the keypoints, each once per image.
+    """
+    import pycolmap
+
+    if database.exists_matches(*ids):
+        database.delete_matches(*ids)
+    if database.exists_two_view_geometry(*ids):
+        database.delete_two_view_geometry(*ids)
+    rows = matches.astype(np.uint32)
+    database.write_matches(*ids, rows)
+    if not configuration:
+        return
+    geometry = pycolmap.TwoViewGeometry()
+    geometry.config = pycolmap.TwoViewGeometryConfiguration.__members__[configuration]
+    geometry.F = None if F is None else fundamental_for_colmap(F)
+    geometry.H = None if H is None else homography_for_colmap(H)
+    geometry.inlier_matches = rows[:inliers]
+    database.write_two_view_geometry(*ids, geometry)
+
+
+def _add_estimate(
+    database: Any, estimate: FundamentalEstimate, ids: tuple[int, int], indices: Sequence[IntArray]
 ) -> None:
     order = np.argsort(~estimate.inliers, kind="stable")
     order = order[one_to_one_mask(*(index[order] for index in indices))]
-    matches = np.column_stack(indices)[order].astype(np.uint32)
-    if not len(matches):
-        return
-    database.write_matches(*ids, matches)
-    geometry, kinds = pycolmap.TwoViewGeometry(), pycolmap.TwoViewGeometryConfiguration
+    inliers, configuration, H = int(estimate.inliers[order].sum()), "", None
     if estimate and estimate.F is not None:
-        geometry.config, geometry.F = kinds.UNCALIBRATED, fundamental_for_colmap(estimate.F)
+        configuration = "UNCALIBRATED"
     elif estimate.H is not None:
-        planar = estimate.geometry is Geometry.PLANAR
-        geometry.config = kinds.PLANAR if planar else kinds.PLANAR_OR_PANORAMIC
-        geometry.H = homography_for_colmap(estimate.H)
-    else:
-        return
-    geometry.inlier_matches = matches[: np.count_nonzero(estimate.inliers[order])]
-    database.write_two_view_geometry(*ids, geometry)
+        configuration = "PLANAR" if estimate.geometry is Geometry.PLANAR else "PLANAR_OR_PANORAMIC"
+        H = estimate.H
+    if len(order):
+        matches = np.column_stack(indices)[order]
+        add_pair(database, ids, matches, inliers=inliers, configuration=configuration, F=estimate.F, H=H)
 
 
 def fundamental_for_colmap(F: FloatArray) -> FloatArray:
     """Return `F`, shape (3, 3), for points half a pixel further right and down: COLMAP's pixels."""
-    return np.asarray(_TO_OURS.T @ F @ _TO_OURS)
+    T = _from_colmap()
+    return np.asarray(T.T @ F @ T)
 
 
 def homography_for_colmap(H: FloatArray) -> FloatArray:
-    """Return `H`, shape (3, 3), for points half a pixel further right and down: COLMAP's pixels."""
-    return np.asarray(np.linalg.inv(_TO_OURS) @ H @ _TO_OURS)
+    """Return `H`, shape (3, 3), which maps image 1 to image 2, for COLMAP's pixels."""
+    T = _from_colmap()
+    return np.asarray(np.linalg.inv(T) @ H @ T)
+
+
+def _from_colmap() -> FloatArray:
+    return np.array([[1.0, 0.0, -_HALF_PIXEL], [0.0, 1.0, -_HALF_PIXEL], [0.0, 0.0, 1.0]])

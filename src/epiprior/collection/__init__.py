@@ -1,0 +1,1 @@
+"""Collections: features once, pairs on workers, what is ready on disk; COLMAP databases and models, hloc files."""

@@ -1,0 +1,161 @@
+"""A collection as a COLMAP database: a new one, or what is missing in one that COLMAP has filled with features."""
+
+import contextlib
+import sqlite3
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from epiprior.collection.images import ImageSet, known_images
+from epiprior.collection.run import MatchedCollection
+from epiprior.errors import FeatureError, ImageError, OutputError, SettingsError
+from epiprior.io.colmap import add_camera, add_image, add_pair, check_colmap_output
+from epiprior.io.features import read_colmap_features
+from epiprior.io.output import replacing
+from epiprior.types import Features
+
+CameraMode = Literal["single", "per-folder", "per-image"]
+_MOST_IMAGES = 2147483647  # COLMAP numbers a pair by image1 * this + image2
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSettings:
+    """The cameras of a new database.
+
+    Parameters
+    ----------
+    mode : Which images share one: all, those of a folder, or none.
+    model : COLMAP's name of a camera model.
+    params : Its parameters, separated by commas, as COLMAP takes them; empty: the focal length as COLMAP infers it,
+        from EXIF or 1.2 times the longer side.
+    """
+
+    mode: CameraMode = "per-image"
+    model: str = "SIMPLE_RADIAL"
+    params: str = ""
+
+
+def infer_cameras(images: ImageSet, how: CameraSettings) -> list[tuple[str, Any]]:
+    """Return for each image who shares its camera, and pycolmap's camera: the first image of a group decides.
+
+    ImageError if COLMAP cannot read an image, or images that share a camera have different sizes; SettingsError if
+    there is no such model, or it has other parameters.
+    """
+    import pycolmap
+
+    options = pycolmap.ImageReaderOptions()
+    options.camera_model = how.model
+    if how.model not in pycolmap.CameraModelId.__members__ or how.model == "INVALID":
+        known = ", ".join(name for name in pycolmap.CameraModelId.__members__ if name != "INVALID")
+        raise SettingsError(f"camera model {how.model!r}, known: {known}")
+    cameras: dict[str, tuple[str, Any]] = {}
+    shared = []
+    for image in images.images:
+        assert image.path is not None
+        try:
+            camera = pycolmap.infer_camera_from_image(image.path, options)
+        except (ValueError, RuntimeError) as error:
+            raise ImageError(f"{image.path}: COLMAP cannot read it: {error}") from error
+        if how.params:
+            if not camera.set_params_from_string(how.params):
+                raise SettingsError(f"camera parameters {how.params!r}: {how.model} has {camera.params_info}")
+            camera.has_prior_focal_length = True
+        group = {"single": "", "per-folder": image.name.rpartition("/")[0], "per-image": image.name}[how.mode]
+        first, known_camera = cameras.setdefault(group, (image.name, camera))
+        if (camera.width, camera.height) != (known_camera.width, known_camera.height):
+            sizes = f"{camera.width} x {camera.height}, {first}, of the same camera, {known_camera.width} x "
+            raise ImageError(f"{image.path}: is {sizes}{known_camera.height}; set --camera-mode per-image")
+        shared.append((first, known_camera))
+    return shared
+
+
+def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tuple[str, Any]], least: float) -> int:
+    """Write a new database; return how many pairs have a geometry of at least the confidence `least`.
+
+    OutputError if it exists, also if it was made meanwhile, or cannot be written; the file appears as a whole.
+    """
+    pycolmap = check_colmap_output(path)
+    with replacing(path) as partial:
+        with _opened(path, pycolmap.Database.open(partial)) as database:
+            numbers: dict[str, int] = {}
+            ids: dict[str, int] = {}
+            with pycolmap.DatabaseTransaction(database):
+                for place, (image, (first, camera)) in enumerate(zip(matched.images.images, cameras, strict=True)):
+                    if first not in numbers:
+                        numbers[first] = add_camera(database, camera)
+                    ids[image.name] = add_image(database, image.name, numbers[first], matched.features(place).xy)
+            count = _add_pairs(pycolmap, database, matched, ids, least)
+        check_colmap_output(path)
+    return count
+
+
+def extend_database(path: Path, matched: MatchedCollection, least: float) -> int:
+    """Add the pairs to a database that holds the features of the images; return how many have a geometry.
+
+    After a kill the database is as it was; after an error it holds the pairs before it, and may be extended again.
+    """
+    import pycolmap
+
+    with _opened(path, pycolmap.Database.open(path)) as database:
+        ids = {image.name: image.image_id for image in database.read_all_images()}
+        return _add_pairs(pycolmap, database, matched, ids, least)
+
+
+def _add_pairs(pycolmap: Any, database: Any, matched: MatchedCollection, ids: dict[str, int], least: float) -> int:
+    count = 0
+    with pycolmap.DatabaseTransaction(database):
+        for pair in matched:
+            if not pair.geometry or pair.confidence < least or not len(pair.matches):
+                continue
+            both = ids[pair.image1], ids[pair.image2]
+            inliers = len(pair.matches)
+            add_pair(database, both, pair.matches, inliers=inliers, configuration=pair.geometry, F=pair.F, H=pair.H)
+            count += 1
+    return count
+
+
+@contextlib.contextmanager
+def _opened(path: Path, database: Any) -> Any:
+    try:
+        yield database
+    except RuntimeError as error:
+        raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
+    finally:
+        database.close()
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilledDatabase:
+    """A database that COLMAP has filled: its images, their features, and the pairs that have a geometry already."""
+
+    images: ImageSet
+    features: Callable[[str], Features]
+    verified: frozenset[tuple[str, str]]
+
+
+def read_filled(path: Path, folder: Path | None, *, roots: int = 1) -> FilledDatabase:
+    """Read what `match_collection` needs from a database of COLMAP; `folder` holds its photographs, if at hand.
+
+    Without photographs the descriptors of the features serve for all. FeatureError if it is no such database, or an
+    image has no features; ImageError if a photograph is missing.
+    """
+    try:
+        with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as opened:
+            names = dict(opened.execute("SELECT image_id, name FROM images ORDER BY name"))
+            bare = "SELECT name FROM images WHERE image_id NOT IN (SELECT image_id FROM descriptors) ORDER BY name"
+            missing = [name for (name,) in opened.execute(bare)]
+            numbers = [pair for (pair,) in opened.execute("SELECT pair_id FROM two_view_geometries WHERE rows > 0")]
+    except sqlite3.Error as error:
+        raise FeatureError(f"{path}: exists already, and is no COLMAP database: {error}") from error
+    if missing or not names:
+        what = f"{missing[0]} has no descriptors" if missing else "there are no images in it"
+        raise FeatureError(f"{path}: exists already, but {what}: run COLMAP's feature extraction, or name a new file")
+    pairs = frozenset(
+        tuple(sorted((names[number // _MOST_IMAGES], names[number % _MOST_IMAGES]))) for number in numbers
+    )
+    return FilledDatabase(
+        images=known_images(list(names.values()), folder, path),
+        features=lambda name: read_colmap_features(path, name, roots=roots),
+        verified=pairs,
+    )

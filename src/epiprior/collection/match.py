@@ -1,0 +1,108 @@
+"""One pair of a collection: a task that reads stored features and gives matches of keypoints with a geometry."""
+
+import functools
+import hashlib
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from epiprior.collection.features import StoredFeatures, first_rows, read_features
+from epiprior.collection.images import CollectionImage
+from epiprior.collection.store import MatchedPair
+from epiprior.collection.workers import installation
+from epiprior.errors import SettingsError
+from epiprior.kernels.one_to_one import one_to_one_mask
+from epiprior.presets import Mode, PreprocessSettings
+from epiprior.two_view import estimate_fundamental
+from epiprior.types import Features, FloatArray, FundamentalEstimate, Geometry, IntArray
+
+_SAME_PLACE_PX = 0.01
+_CONFIGURATIONS = {
+    Geometry.PLANAR: "PLANAR",
+    Geometry.ROTATION: "PANORAMIC",
+    Geometry.IDENTICAL: "WATERMARK",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchSettings:
+    """How each pair of a collection is matched; see `epiprior.estimate_fundamental`."""
+
+    settings: PreprocessSettings
+    mode: Mode = "cascade"
+    estimator: str = "epiprior"
+    seed: int = 0
+    threshold_px: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.mode not in get_args(Mode):
+            raise SettingsError(f"mode is {self.mode!r}, known: {', '.join(get_args(Mode))}")
+
+    def pair_key(self, feature_keys: tuple[str, str]) -> bytes:
+        """Return what the matches of two images depend on."""
+        return hashlib.sha256("\0".join([*feature_keys, repr(self), installation()]).encode()).digest()
+
+
+def geometry_of(found: FundamentalEstimate) -> tuple[str, float]:
+    """Return COLMAP's configuration for an estimate, and the confidence; an empty name where there is no geometry.
+
+    The confidence is that of F; it is 1 where a homography relates the images.
+    """
+    if found:
+        return "UNCALIBRATED", found.confidence
+    return (_CONFIGURATIONS[found.geometry], 1.0) if found.H is not None else ("", 0.0)
+
+
+def match_pair(
+    images: tuple[CollectionImage, CollectionImage], files: tuple[Path, Path], how: MatchSettings
+) -> MatchedPair:
+    """Match two images whose features are in files: a task."""
+    start = time.perf_counter()
+    stored = _read(files[0]), _read(files[1])
+    view1, view2 = (one.view(image, how.settings.features) for one, image in zip(stored, images, strict=True))
+    first, second = (one.features for one in stored)
+    found = estimate_fundamental(
+        view1,
+        view2,
+        features1=first,
+        features2=second,
+        estimator=how.estimator,
+        mode=how.mode,
+        settings=how.settings,
+        seed=how.seed,
+        threshold_px=how.threshold_px,
+    )
+    geometry, confidence = geometry_of(found)
+    inliers = np.flatnonzero(found.inliers) if geometry else np.empty(0, np.int64)
+    rows = np.column_stack([_rows_of(first, found.x1[inliers]), _rows_of(second, found.x2[inliers])])
+    return MatchedPair(
+        image1=images[0].name,
+        image2=images[1].name,
+        status=found.status.value,
+        message=found.message,
+        geometry=geometry,
+        confidence=confidence,
+        F=found.F if found else None,
+        H=found.H,
+        matches=rows[one_to_one_mask(*rows.T)],
+        input=found.input,
+        seconds=time.perf_counter() - start,
+    )
+
+
+@functools.lru_cache(maxsize=8)  # pairs come image by image
+def _read(path: Path) -> StoredFeatures:
+    return read_features(path)
+
+
+def _rows_of(features: Features, xy: FloatArray) -> IntArray:
+    """Return the first feature at each place, (N, 2), where there is one."""
+    if not len(xy):
+        return np.empty(0, np.int64)
+    distance, row = cKDTree(features.xy).query(xy)
+    assert distance.max() < _SAME_PLACE_PX
+    return np.asarray(first_rows(features)[row], dtype=np.int64)

@@ -1,0 +1,87 @@
+"""From a database to COLMAP's model: pycolmap's incremental mapper, which gives the same model each time."""
+
+import contextlib
+import shutil
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epiprior.types import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """A model that the mapper has written to `folder`, with `points.ply` beside its binary files.
+
+    Parameters
+    ----------
+    seen : Number of points that each registered image sees, by name.
+    centres, rotations : (N, 3) and (N, 3, 3), of the registered images in the order of `seen`: camera centre, and
+        rotation from the world to the camera.
+    points, colours : (P, 3), points, and their colours, RGB.
+    tracks : How many points are seen by how many images.
+    error_px : Mean reprojection error.
+    """
+
+    folder: Path
+    seen: Mapping[str, int]
+    centres: FloatArray
+    rotations: FloatArray
+    points: FloatArray
+    colours: NDArray[np.uint8]
+    tracks: Mapping[int, int]
+    error_px: float
+
+
+def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0, refine: bool = True) -> list[Model]:
+    """Map a database; return its models, the one with most images first, none where nothing could be mapped.
+
+    `out` is made anew: a folder ``0``, ``1``, ... for each model. One thread and a fixed seed give the same bytes.
+    Without `refine` the intrinsics of the cameras stay as they are.
+    """
+    import pycolmap
+
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads, options.random_seed, options.ignore_watermarks = 1, seed, True
+    options.ba_refine_focal_length = options.ba_refine_extra_params = refine
+    with _quiet(pycolmap):
+        found = pycolmap.incremental_mapping(database, image_root, out, options)
+    models = []
+    for number, reconstruction in sorted(found.items()):
+        reconstruction.export_PLY(out / str(number) / "points.ply")
+        models.append(_model(out / str(number), reconstruction))
+    return sorted(models, key=lambda model: -len(model.seen))
+
+
+def _model(folder: Path, reconstruction: Any) -> Model:
+    images = sorted((image for image in reconstruction.images.values() if image.has_pose), key=lambda i: str(i.name))
+    poses = np.array([image.cam_from_world().matrix() for image in images]).reshape(-1, 3, 4)
+    points = list(reconstruction.points3D.values())
+    return Model(
+        folder=folder,
+        seen={str(image.name): int(image.num_points3D) for image in images},
+        centres=-np.einsum("nji,nj->ni", poses[:, :, :3], poses[:, :, 3]),
+        rotations=poses[:, :, :3],
+        points=np.array([point.xyz for point in points]).reshape(-1, 3),
+        colours=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
+        tracks=Counter(len({e.image_id for e in point.track.elements}) for point in points),
+        error_px=float(reconstruction.compute_mean_reprojection_error()),
+    )
+
+
+@contextlib.contextmanager
+def _quiet(pycolmap: Any) -> Iterator[None]:
+    """Silence pycolmap's log below errors; it writes to stderr."""
+    before = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    try:
+        yield
+    finally:
+        pycolmap.logging.minloglevel = before

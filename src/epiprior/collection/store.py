@@ -1,0 +1,94 @@
+"""What was found for the pairs of a collection, on disk: one file, one writer; after a kill all that was ready."""
+
+import contextlib
+import sqlite3
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from epiprior.errors import OutputError
+from epiprior.types import FloatArray, IntArray
+
+_COLUMNS = "key, image1, image2, status, message, geometry, confidence, F, H, matches, input, seconds"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchedPair:
+    """Two images of a collection and what was found for them.
+
+    Parameters
+    ----------
+    image1, image2 : Their names.
+    status, message : Of the estimate, see `epiprior.FundamentalEstimate`.
+    geometry : COLMAP's name of the configuration, such as ``UNCALIBRATED`` or ``PLANAR``; empty if there is none.
+    confidence : That F is right, in [0, 1]; 1 where a homography relates the images.
+    F, H : (3, 3) float64, pixels, the centre of the top-left pixel at (0, 0); None where not found.
+    matches : (M, 2) int64. Inliers, one-to-one: rows of the keypoints of both images; empty without a geometry.
+    input : What the estimate comes from: ``standard`` or the preset.
+    seconds : Wall time.
+    """
+
+    image1: str
+    image2: str
+    status: str
+    message: str = ""
+    geometry: str = ""
+    confidence: float = 0.0
+    F: FloatArray | None = None
+    H: FloatArray | None = None
+    matches: IntArray
+    input: str = ""
+    seconds: float = 0.0
+
+
+class PairStore:
+    """A file of matched pairs by key; OutputError names it if it cannot be used."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with self._told():
+            self._opened = sqlite3.connect(path, isolation_level=None)
+            self._opened.execute("PRAGMA synchronous = OFF")  # a kill leaves whole rows; only a power cut may not
+            self._opened.execute(f"CREATE TABLE IF NOT EXISTS pairs ({_COLUMNS}, PRIMARY KEY (key)) WITHOUT ROWID")
+
+    def __contains__(self, key: bytes) -> bool:
+        with self._told():
+            return self._opened.execute("SELECT 1 FROM pairs WHERE key = ?", (key,)).fetchone() is not None
+
+    def write(self, key: bytes, pair: MatchedPair) -> None:
+        """Keep a pair."""
+        arrays = [None if M is None else M.tobytes() for M in (pair.F, pair.H)]
+        row: tuple[object, ...] = (
+            key,
+            pair.image1,
+            pair.image2,
+            pair.status,
+            pair.message,
+            pair.geometry,
+            pair.confidence,
+        )
+        row += (*arrays, pair.matches.astype(np.uint32).tobytes(), pair.input, pair.seconds)
+        with self._told():
+            self._opened.execute(f"INSERT OR REPLACE INTO pairs VALUES ({', '.join('?' * len(row))})", row)
+
+    def read(self, key: bytes) -> MatchedPair:
+        """Return the pair that was kept under a key."""
+        with self._told():
+            row = self._opened.execute("SELECT * FROM pairs WHERE key = ?", (key,)).fetchone()
+        F, H = (None if M is None else np.frombuffer(M).reshape(3, 3) for M in row[7:9])
+        known = dict(zip(_COLUMNS.split(", ")[1:7], row[1:7], strict=True))
+        matches = np.frombuffer(row[9], np.uint32).reshape(-1, 2).astype(np.int64)
+        return MatchedPair(**known, F=F, H=H, matches=matches, input=row[10], seconds=row[11])
+
+    def close(self) -> None:
+        """Close the file."""
+        self._opened.close()
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise OutputError(f"{self.path}: {error}") from error

@@ -1,0 +1,174 @@
+"""A collection from images to matched pairs: what is kept, what is used again, what a kill leaves."""
+
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import epiprior
+from collections_fakes import MATCHES, FakeEstimation, in_this_process, small_images, views
+from epiprior import EstimatorError, OutputError, SettingsError, Status, match_collection
+from epiprior.collection.features import make_features, read_features
+from epiprior.collection.images import find_images
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
+from epiprior.presets import DEFAULT
+from pictures import relief_pair, rotated, save
+
+
+def test_matches_are_rows_of_keypoints_one_to_one(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    small_images(tmp_path / "set")
+    seen, steps = [], []
+    found = match_collection(tmp_path / "set", on_pair=seen.append, on_progress=lambda *step: steps.append(step))
+    assert [(pair.image1, pair.image2) for pair in found] == [
+        ("a.png", "b.png"),
+        ("a.png", "c.png"),
+        ("b.png", "c.png"),
+    ]
+    assert steps == [*(("features", n, 3) for n in (1, 2, 3)), *(("pairs", n, 3) for n in (1, 2, 3))]
+    assert [pair.image2 for pair in seen] == [pair.image2 for pair in found]
+    rows = {}
+    for pair in found:
+        assert (pair.geometry, pair.confidence, len(pair.matches)) == ("UNCALIBRATED", 1.0, MATCHES)
+        for name, column in ((pair.image1, 0), (pair.image2, 1)):
+            assert len(np.unique(pair.matches[:, column])) == MATCHES
+            rows.setdefault(name, []).append(np.sort(pair.matches[:, column]))
+    for place, image in enumerate(found.images.images):
+        # The same places are the same rows in all pairs, and the first of their twins.
+        first, second = rows[image.name]
+        np.testing.assert_array_equal(first, second)
+        xy = found.features(place).xy
+        np.testing.assert_array_equal(np.unique(xy, axis=0)[:MATCHES], xy[first][np.lexsort(xy[first].T[::-1])])
+        assert all((xy[:row] != xy[row]).any(axis=1).all() for row in first)
+
+
+def test_what_is_ready_is_not_made_again(tmp_path, monkeypatch):
+    first = in_this_process(monkeypatch)
+    small_images(tmp_path / "set")
+    before = list(match_collection(tmp_path / "set", work=tmp_path / "work", pairs="sequential:1"))
+    assert len(first.calls) == 2
+    again = in_this_process(monkeypatch)
+    monkeypatch.setattr("epiprior.collection.run.make_features", None)
+    found = match_collection(tmp_path / "set", work=tmp_path / "work", without={("a.png", "b.png")})
+    assert len(again.calls) == 1
+    assert [(pair.image1, pair.image2) for pair in found] == [("a.png", "c.png"), ("b.png", "c.png")]
+    np.testing.assert_array_equal(list(found)[1].matches, before[1].matches)
+    np.testing.assert_array_equal(list(found)[1].F, before[1].F)
+    match_collection(tmp_path / "set", work=tmp_path / "work", seed=1)
+    assert len(again.calls) == 4
+
+
+def test_pairs_without_geometry_have_no_matches(tmp_path, monkeypatch):
+    in_this_process(monkeypatch, FakeEstimation(Status.DEGENERATE))
+    small_images(tmp_path)
+    for pair in match_collection(tmp_path):
+        assert (pair.status, pair.message, pair.geometry) == ("degenerate", "as the test wants", "")
+        assert (pair.F, pair.matches.shape) == (None, (0, 2))
+
+
+def test_similar_images_are_known_after_their_features(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    files = small_images(tmp_path, tuple("abcd"[k] + ".png" for k in range(4)))
+    for near, file in ((3, files[0]), (2, files[1])):
+        (tmp_path / f"{'abcd'[near]}.png").unlink()
+        save(files[near], np.ascontiguousarray(epiprior.features.images.read_image(file, 0)[5:, 5:]))
+    found = match_collection(tmp_path, pairs="similar:1")
+    assert found.pairs == [(0, 3), (1, 2)]
+
+
+def test_what_cannot_be_is_told_before_the_work(tmp_path, monkeypatch):
+    estimation = in_this_process(monkeypatch)
+    small_images(tmp_path / "set")
+    (tmp_path / "file").write_text("")
+    for error, words, options in (
+        (EstimatorError, "nonsense", {"estimator": "nonsense"}),
+        (SettingsError, "preset is 'x'", {"preset": "x"}),
+        (SettingsError, "mode is 'x'", {"mode": "x"}),
+        (SettingsError, "pairs = 'x'", {"pairs": "x"}),
+        (OutputError, "file", {"work": tmp_path / "file"}),
+    ):
+        with pytest.raises(error, match=words):
+            match_collection(tmp_path / "set", **{"work": tmp_path / "work", **options})
+    assert estimation.calls == []
+    assert not (tmp_path / "work").exists()
+
+
+def test_stored_features_give_the_same_as_photographs(tmp_path, monkeypatch):
+    """Also under a second roll hypothesis, for which the photograph is decoded."""
+    left, right = relief_pair(240, 180, 3)
+    save(tmp_path / "a.png", left)
+    save(tmp_path / "b.png", rotated(right, 40.0)[0])
+    direct = [load_photograph(tmp_path / name) for name in ("a.png", "b.png")]
+    features = [detect_features(photograph, DEFAULT.features) for photograph in direct]
+    expected = epiprior.rank_matches(*direct)
+    views = []
+    for image, own in zip(find_images(tmp_path).images, features, strict=True):
+        file = tmp_path / f"{image.name}.npz"
+        file.write_bytes(make_features(image, DEFAULT.features))
+        stored = read_features(file)
+        np.testing.assert_array_equal(stored.features.descriptors, own.descriptors)
+        views.append(stored.view(image, DEFAULT.features))
+        assert not views[-1].grey.any()
+    decoded = []
+    load = epiprior.collection.features._load
+    monkeypatch.setattr("epiprior.collection.features._load", lambda *a: decoded.append(a[0].name) or load(*a))
+    found = epiprior.rank_matches(*views, features1=features[0], features2=features[1])
+    assert len(found.sets) == len(expected.sets) == 2
+    for mine, other in zip(found.sets, expected.sets, strict=True):
+        np.testing.assert_array_equal(mine.probability, other.probability)
+    assert decoded == ["b.png"]
+
+
+PROGRAM = """
+import sys, epiprior
+found = epiprior.match_collection(sys.argv[1], work=sys.argv[2], workers=2, mode="standard")
+"""
+
+
+def rows_of(path):
+    """All that is kept, without how long it took."""
+    with sqlite3.connect(path) as opened:
+        return sorted(row[:-1] for row in opened.execute("SELECT * FROM pairs"))
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on(tmp_path):
+    folder = views(tmp_path / "set")
+    command = [sys.executable, "-c", PROGRAM, str(tmp_path / "set")]
+    subprocess.run([*command, str(tmp_path / "whole")], check=True)
+    whole = rows_of(tmp_path / "whole" / "pairs.db")
+    assert len(whole) == 10
+    assert sum(row[5] == "UNCALIBRATED" for row in whole) > 5
+    kept = tmp_path / "work" / "pairs.db"
+    for least in (0, 1, 4):
+        with subprocess.Popen([*command, str(tmp_path / "work")]) as running:
+            while running.poll() is None and not (kept.is_file() and least <= count_rows(kept)):
+                time.sleep(0.01)
+            running.send_signal(signal.SIGKILL)
+    match_collection(folder, work=tmp_path / "work", workers=1, mode="standard")
+    assert rows_of(kept) == whole
+
+
+def count_rows(path):
+    try:
+        with sqlite3.connect(path) as opened:
+            return opened.execute("SELECT count(*) FROM pairs").fetchone()[0]
+    except sqlite3.OperationalError:
+        return -1
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    views(tmp_path / "set", 3)
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    match_collection(tmp_path / "set", work=tmp_path / "here", workers=1, mode="standard")
+    with distributed.LocalCluster(**options) as cluster:
+        address = cluster.scheduler_address
+        match_collection(tmp_path / "set", work=tmp_path / "there", scheduler=address, mode="standard")
+    assert rows_of(tmp_path / "there" / "pairs.db") == rows_of(tmp_path / "here" / "pairs.db")

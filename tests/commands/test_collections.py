@@ -1,0 +1,183 @@
+"""The commands on collections: what they print, write and return."""
+
+import contextlib
+import logging
+import shutil
+import sqlite3
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import typer
+
+import epiprior
+from collections_fakes import FakeEstimation, in_this_process, small_images, views
+from command_line import one_line
+from command_line import run_command as run
+from epiprior import Status
+from epiprior.presets import find_preset
+from pictures import turned_jpeg
+
+pycolmap = pytest.importorskip("pycolmap")
+
+
+@pytest.fixture
+def estimation(monkeypatch):
+    return in_this_process(monkeypatch)
+
+
+@pytest.fixture
+def images(tmp_path):
+    small_images(tmp_path / "set", ("Photo 1.png", "Photo 2.png", "Photo 3.png"))
+    return tmp_path / "set"
+
+
+def names_in(path):
+    with contextlib.closing(sqlite3.connect(path)) as opened:
+        return sorted(name for (name,) in opened.execute("SELECT name FROM images"))
+
+
+def test_colmap(estimation, images, tmp_path):
+    result = run("colmap", images, "--database", tmp_path / "out.db", "--max-features", 200)
+    assert result.exit_code == 0, result.stderr
+    assert f"{tmp_path / 'out.db'}: 3 of 3 pairs have a geometry" in result.stdout
+    assert "pairs: 3 of 3" in result.stderr
+    assert names_in(tmp_path / "out.db") == ["Photo 1.png", "Photo 2.png", "Photo 3.png"]
+    again = run("colmap", images, "--database", tmp_path / "out.db")
+    assert again.exit_code == 2
+    assert "out.db: exists already, but Photo 1.png has no descriptors" in one_line(again)
+    assert "exists already" in one_line(run("colmap", *images.iterdir(), "--database", tmp_path / "out.db"))
+    assert run("colmap", "--database", tmp_path / "new.db").exit_code == 2
+    assert run("colmap", images / "Photo 1.png", "--database", tmp_path / "new.db").exit_code == 2
+
+
+def test_colmap_without_geometry(images, tmp_path, monkeypatch):
+    in_this_process(monkeypatch, FakeEstimation(Status.DEGENERATE))
+    result = run("--quiet", "colmap", images, "--database", tmp_path / "out.db")
+    assert result.exit_code == 1
+    assert one_line(result).endswith("Photo 1.png, Photo 2.png: degenerate: as the test wants")
+
+
+def test_colmap_adds_to_a_database(estimation, images, tmp_path):
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu, options.num_threads = False, 1
+    pycolmap.extract_features(tmp_path / "out.db", images, extraction_options=options)
+    pairs = tmp_path / "pairs.txt"
+    pairs.write_text("Photo 1.png Photo 2.png\n")
+    result = run("--quiet", "colmap", "--database", tmp_path / "out.db", "--pairs", pairs, "--work", tmp_path / "w")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "1 of 1 pairs" in result.stdout
+    assert "2 of 2 pairs" in run("colmap", images, "--database", tmp_path / "out.db").stdout
+    nothing = run("--quiet", "colmap", images, "--database", tmp_path / "out.db")
+    assert (nothing.exit_code, nothing.stderr) == (0, "")
+    assert "0 of 0 pairs" in nothing.stdout
+    assert len(estimation.calls) == 3
+
+
+@pytest.mark.parametrize("command", ["colmap", "sfm"])
+@pytest.mark.parametrize("kind", ["missing", "unreadable", "doubled"])
+def test_all_images_are_checked_before_the_work(estimation, images, tmp_path, command, kind):
+    files, bad = sorted(images.iterdir()), tmp_path / "last.jpg"
+    if kind == "unreadable":
+        bad.write_text("not a picture")
+    elif kind == "doubled":
+        bad = files[0]
+    result = run(
+        command, *files, bad, *(["--database", tmp_path / "o.db"] if command == "colmap" else ["--out", tmp_path / "o"])
+    )
+    assert result.exit_code == 2
+    assert bad.name in one_line(result)
+    assert not list(tmp_path.glob("o*"))
+
+
+def test_what_is_left_out_or_ignored_is_said_once(estimation, images, tmp_path):
+    for name in ("._Photo 1.png", "._Photo 2.png"):
+        (images / name).write_bytes(b"\0\5\x16\7")
+    turned_jpeg(images / "turned.jpg")
+    result = run("--quiet", "colmap", images, "--database", tmp_path / "out.db")
+    assert result.exit_code == 0, result.stderr
+    first, second = result.stderr.splitlines()
+    assert "._Photo 1.png: one of 2 files named ._*" in first
+    assert "turned.jpg" in second
+    assert len(names_in(tmp_path / "out.db")) == 4
+
+
+def test_options_reach_the_estimation(estimation, images, tmp_path):
+    options = ["--max-image-size", 128, "--features", "colmap-sift", "--max-features", 100, "--preset", "paper"]
+    options += ["--mode", "standard", "--estimator", "usac", "--seed", 5, "--threshold", 2.5, "--pairs", "sequential:1"]
+    assert run("colmap", images, "--database", tmp_path / "out.db", *options).exit_code == 0
+    assert len(estimation.calls) == 2
+    call, paper = estimation.calls[0], find_preset("paper")
+    wanted = replace(paper.features, max_image_size=128, detector="colmap-sift", max_keypoints=100)
+    assert call["settings"] == replace(paper, features=wanted)
+    named = {"mode": "standard", "estimator": "usac", "seed": 5, "threshold_px": 2.5}
+    assert {name: call[name] for name in named} == named
+    small = run("colmap", images, "--database", tmp_path / "new.db", "--max-image-size", 5)
+    assert "max_image_size is 5, must" in one_line(small)
+
+
+def test_colmap_finishes_where_its_output_is_closed_early(estimation, images, tmp_path, monkeypatch):
+    echo = typer.echo
+
+    def closed(text="", **options):
+        if not options.get("err"):
+            raise BrokenPipeError(32, "Broken pipe")
+        echo(text, **options)
+
+    monkeypatch.setattr(typer, "echo", closed)
+    result = run("--quiet", "colmap", images, "--database", tmp_path / "out.db")
+    assert result.exit_code == 0
+    assert "the output was closed early" in result.stderr
+    assert len(names_in(tmp_path / "out.db")) == 3
+
+
+def test_hloc(estimation, images, tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "feats.h5", "w") as file:
+        for path in images.iterdir():
+            own = epiprior.features.detect.detect_features(epiprior.features.images.load_photograph(path))
+            parts = {"keypoints": own.xy, "descriptors": own.descriptors.T, "image_size": np.array(own.image_size)}
+            for key, value in (parts | {"scales": own.scale, "oris": own.orientation_deg}).items():
+                file.create_dataset(f"{path.name}/{key}", data=value)
+    command = ("--quiet", "hloc", images, "--features", tmp_path / "feats.h5", "--matches", tmp_path / "matches.h5")
+    result = run(*command, "--roots", 0)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "3 of 3 pairs have a geometry" in result.stdout
+    with h5py.File(tmp_path / "matches.h5") as file:
+        assert list(file["Photo 1.png"]) == ["Photo 2.png", "Photo 3.png"]
+    assert "matches.h5: exists already" in one_line(run(*command))
+
+
+@pytest.mark.slow
+def test_from_a_folder_to_a_model(tmp_path, caplog):
+    folder = views(tmp_path / "set")
+    shutil.copy(folder / "0.png", folder / "copy.png")
+    command = ("sfm", folder, "--out", tmp_path / "scene", "--mode", "standard", "--camera-mode", "single")
+    with caplog.at_level(logging.INFO, "epiprior"):
+        result = run(*command)
+    assert result.exit_code == 0, result.stderr
+    model = pycolmap.Reconstruction(tmp_path / "scene" / "sparse" / "0")
+    assert model.num_reg_images() >= 4
+    assert model.num_points3D() > 200
+    assert (tmp_path / "scene" / "sparse" / "0" / "points.ply").read_bytes().startswith(b"ply")
+    page = (tmp_path / "scene" / "report.html").read_text()
+    assert "copy.png" in page
+    assert "the same bytes as 0.png" in page
+    assert f"{model.num_reg_images()} of 5 images are registered" in page
+    # The same again: nothing is matched anew, and the model is the same.
+    binary = (tmp_path / "scene" / "sparse" / "0" / "points3D.bin").read_bytes()
+    assert run(*command).exit_code == 0
+    assert (tmp_path / "scene" / "sparse" / "0" / "points3D.bin").read_bytes() == binary
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine.txt").write_text("")
+    assert "is neither empty nor made by this command" in one_line(run("sfm", folder, "--out", tmp_path / "other"))
+
+
+def test_without_a_model_the_report_says_why(images, tmp_path, monkeypatch):
+    in_this_process(monkeypatch, FakeEstimation(Status.DEGENERATE))
+    result = run("--quiet", "sfm", images, "--out", tmp_path / "scene")
+    assert result.exit_code == 1
+    assert "no model" in one_line(result)
+    page = (tmp_path / "scene" / "report.html").read_text()
+    assert page.count("no: no pair has a geometry") == 3
+    assert "not written: degenerate" in page
