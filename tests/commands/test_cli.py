@@ -305,7 +305,8 @@ def test_bad_pairs(with_model, photographs, tmp_path, name1, name2, code, words)
     assert words in one_line(result)
     if code == 1:
         printed = json.loads(result.stdout)
-        assert (printed["status"], printed["F"], printed["support"]) == (words, None, 0)
+        assert printed["status"] == words
+        assert (printed["F"] is None, printed["support"] == 0) == (words == "too_few_matches",) * 2
         assert printed["message"]
     else:
         assert result.stdout == ""

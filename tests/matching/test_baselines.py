@@ -11,6 +11,7 @@ from epiprior.errors import FeatureError, SettingsError
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.matching.baselines import _candidates, generalized_matches, snn_matches, standard_matches
+from epiprior.presets import DEFAULT, PAPER
 from epiprior.types import Status
 from pictures import relief_pair, texture
 from synthetic import run, unit_rows
@@ -22,7 +23,8 @@ SMALL_PAIR = relief_pair(320, 240)
 def test_handed_in_features_give_what_detection_gives(make, monkeypatch):
     pair = SMALL_PAIR
     wanted = make(*pair)
-    features1, features2 = (detect_features(load_photograph(image)) for image in pair)
+    settings = DEFAULT.features if make is snn_matches else PAPER.features
+    features1, features2 = (detect_features(load_photograph(image), settings) for image in pair)
     monkeypatch.setattr(epiprior.matching.pair, "detect_features", None)  # nothing is detected again
     got = make(*pair, features1=features1, features2=features2)
     assert len(got) > 100

@@ -56,6 +56,14 @@ class Fit:
     seconds: float
 
 
+def with_checked_points(matches: MatchSet) -> MatchSet:
+    """Return matches whose points are finite numbers, as many in both images; FeatureError if they are not."""
+    x1, x2 = as_points("x1", matches.x1), as_points("x2", matches.x2)
+    if len(x1) != len(x2):
+        raise FeatureError(f"x1 holds {len(x1)} points and x2 {len(x2)}, expected as many")
+    return replace(matches, x1=x1, x2=x2)
+
+
 def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None) -> Fit:
     """Run one estimator and check that its matrix is finite and of rank 2, but not whether it means anything.
 
@@ -68,10 +76,8 @@ def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSetti
     estimator = find_estimator(name)
     if not isinstance(seed, Integral) or seed < 0:
         raise SettingsError(f"seed is {seed!r}, expected an integer, at least 0")
-    x1, x2 = as_points("x1", matches.x1), as_points("x2", matches.x2)
-    if len(x1) != len(x2):
-        raise FeatureError(f"x1 holds {len(x1)} points and x2 {len(x2)}, expected as many")
-    matches, first = replace(matches, x1=x1, x2=x2), first_of_equal(np.column_stack([x1, x2]))
+    matches = with_checked_points(matches)
+    first = first_of_equal(np.column_stack([matches.x1, matches.x2]))
     distinct = matches if len(first) == len(matches) else matches.take(first)
     start = time.perf_counter()
     F, status, message, iterations = None, Status.OK, "", None

@@ -14,7 +14,7 @@ from epiprior.errors import SettingsError
 from epiprior.estimators.evidence import spread_evidence
 from epiprior.estimators.handover import HandOver, hand_over
 from epiprior.estimators.protocol import EstimatorSettings
-from epiprior.estimators.registry import Fit, fit
+from epiprior.estimators.registry import Fit, fit, with_checked_points
 from epiprior.geometry import MIN_MATCHES, normalise_fundamental, refine_fundamental, sampson_distance
 from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, Geometry, MatchSet, Status
 from epiprior.verification import degeneracy
@@ -134,6 +134,7 @@ def _in_order(sets: Sequence[MatchSet], factors: Factors) -> tuple[Sequence[Matc
     """Return sets and factors with the images in the order that the matches decide, and whether that is the other."""
     if not sets:
         raise SettingsError("no set of matches was given")
+    sets = [with_checked_points(matches) for matches in sets]
     for matches in sets:
         x1, x2 = (matches.x1 / factors[0]).reshape(-1), (matches.x2 / factors[1]).reshape(-1)
         unlike = np.flatnonzero(x1 != x2)
