@@ -143,7 +143,7 @@ def test_eight_matches(name):
     estimate = run(name, pair.matches)
     assert_sound(estimate, pair.matches)
     assert estimate.status in (Status.OK, Status.NO_MODEL)
-    assert estimate.support in (0, 8)
+    assert estimate.support <= 8
 
 
 @each_estimator
