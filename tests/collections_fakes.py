@@ -56,7 +56,8 @@ class FakeEstimation:
         count = min(len(x1), len(x2))
         x1, x2 = np.vstack([x1[:count], x1[:1]]), np.vstack([x2[:count], x2[1:2]])
         inliers = np.full(count + 1, self.status is Status.OK)
-        found = make_estimate(PAIR, self.status, x1=x1, x2=x2, inliers=inliers, message="as the test wants")
+        about = {"x1": x1, "x2": x2, "inliers": inliers, "confidence": 1.0, "message": "as the test wants"}
+        found = make_estimate(PAIR, self.status, **about)
         return replace(found, input="default")
 
 
