@@ -132,7 +132,7 @@ def test_what_follows_from_parameters():
     assert study.inputs_by_estimator["gc-ransac"] == ("standard", "snn", "default")
     assert study.inputs_by_estimator["beem"] == ("standard", "snn", "paper-standard", "paper", "default")
     assert study.inputs_by_estimator["generalized-ransac"] == ("generalized", "snn", "default")
-    assert set(study.all_inputs) == {*INPUTS, "fast"}
+    assert set(study.all_inputs) == set(INPUTS)
     assert study.inputs_and_peers == study.inputs_by_estimator
     every = ("standard", "snn", "default", "adalam", "gms")
     assert photographs.inputs_and_peers["usac"] == (*every, "aliked", "xfeat")

@@ -28,7 +28,7 @@ PARAMS = TrainParams(
     seed=3,
     folds=3,
     families=tuple(FAMILIES),
-    exported=ExportedFamilies(paper="tree", default="lightgbm"),
+    exported=ExportedFamilies(paper="tree", default="lightgbm", confidence="lightgbm"),
     max_rows_per_pair=100,
     max_rows=600,
     max_forest_rows=400,
