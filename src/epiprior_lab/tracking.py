@@ -18,7 +18,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from epiprior.errors import EpipriorError
-from epiprior.ranking.models import TARGETS
+from epiprior.ranking.models import OPTIONAL, TARGETS
 from epiprior.types import Float32Array
 
 _LOG = logging.getLogger(__name__)
@@ -84,6 +84,7 @@ def promote(preset: str, *, root: Path | None = None) -> dict[str, str]:
         raise TrackingError(f"{root / 'mlflow.db'}: no such file; run the stage train first")
     with _mlflow(root) as client:
         runs = {target: _newest_exported(client, target, preset) for target in TARGETS}
+        runs = {target: run for target, run in runs.items() if run is not None}
         try:
             return dict(_register(client, f"epiprior-{preset}-{target}", run) for target, run in runs.items())
         except Exception as error:
@@ -102,13 +103,16 @@ def _register(client: Any, name: str, run: Any) -> tuple[str, str]:
 
 
 def _newest_exported(client: Any, target: str, preset: str) -> Any:
+    """Return the newest run; None where there is none of a target that not every preset has."""
     experiment = client.get_experiment_by_name(f"epiprior/{target}")
-    runs = client.search_runs(
-        [experiment.experiment_id] if experiment else ["none"],
+    runs = experiment and client.search_runs(
+        [experiment.experiment_id],
         f"tags.preset = '{preset}' and tags.exported = 'true' and attributes.status = 'FINISHED'",
         order_by=["attributes.start_time DESC"],
         max_results=1,
     )
+    if not runs and target in OPTIONAL:
+        return None
     if not runs:
         raise TrackingError(f"no finished run of an exported {target} classifier of preset {preset!r}")
     return runs[0]

@@ -145,17 +145,17 @@ def test_standard_matches_without_probabilities_can_be_refined_too():
 @pytest.mark.parametrize(
     ("matches", "status"),
     [
-        (make_pair(inliers=7, outliers=0).matches, Status.TOO_FEW_MATCHES),
-        (wrong_set(), Status.NO_MODEL),
-        (make_pair(scene="plane", seed=2).matches, Status.DEGENERATE),
-        (make_pair(scene="rotation", seed=2).matches, Status.DEGENERATE),
+        (make_pair(inliers=7, outliers=0).matches, (Status.TOO_FEW_MATCHES,)),
+        (wrong_set(), (Status.NO_MODEL,)),
+        (make_pair(scene="plane", seed=2).matches, (Status.DEGENERATE, Status.NO_MODEL)),
+        (make_pair(scene="rotation", seed=2).matches, (Status.DEGENERATE, Status.NO_MODEL)),
     ],
 )
 @pytest.mark.parametrize("how", [PAPER, FULL], ids=["paper", "default"])
 def test_failure_is_a_status(matches, status, how):
     estimate = usac(matches, how)
-    assert estimate.status is status
-    assert (estimate.F is None) == (status is Status.TOO_FEW_MATCHES)
+    assert estimate.status in status
+    assert (estimate.F is None) == (estimate.status is Status.TOO_FEW_MATCHES)
     assert estimate.message
     assert not estimate
 

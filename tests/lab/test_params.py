@@ -78,7 +78,7 @@ def test_unknown_and_missing_keys_are_named_with_their_section(file, section, lo
         ("evaluate.groups", ["facades-easy", "facades-hard", "open", "closed"], ": 'closed' is not among facades-easy"),
         ("evaluate.pairs", "data/scenes", " = 'data/scenes': expected {group} in it"),
         ("evaluate.inputs", ["raw"], r"\.0 = 'raw': Input should be 'standard', 'snn'"),
-        ("evaluate.inputs", ["snn"], " of gc-ransac are snn: expected standard or generalized"),
+        ("evaluate.inputs", ["snn"], " of magsac.* are snn: expected standard or generalized"),
         ("evaluate.other_inputs", {"usax": ["standard"]}, ": 'usax' is not among usac"),
         ("evaluate.other_inputs.usac", ["lowe"], r"\.0 = 'lowe': Input should be 'standard'"),
         ("evaluate.other_inputs.usac", ["snn", "snn"], " = .*repeated"),
@@ -136,7 +136,7 @@ def test_what_follows_from_parameters():
     assert study.inputs_and_peers == study.inputs_by_estimator
     every = ("standard", "snn", "default", "adalam", "gms")
     assert photographs.inputs_and_peers["usac"] == (*every, "aliked", "xfeat")
-    assert photographs.inputs_and_peers["epiprior"] == every
+    assert photographs.inputs_and_peers["epiprior"] == ("standard", "snn", "fast", "default", "adalam", "gms")
     assert replace(photographs, peers=None).inputs_and_peers == photographs.inputs_by_estimator
     for wrong in ({"loftr": ("usac",)}, {"aliked": ("usac2",)}):
         with pytest.raises(ValidationError, match="peer_estimators"):

@@ -299,7 +299,13 @@ def evaluated():
         key = {"group": "f", "pair_id": f"p{i}", "scene": "s"}
         at = tuple(min(rank, right) if rank != 10 else 9 for rank in RANKS)
         for name, ranking in itertools.product(("paper", "default"), ("lowe", "blogs", "final")):
-            counts = {"matches": 100 if ranking == "lowe" else 5000, "right": right, "right_at": at}
+            counts = {
+                "matches": 100 if ranking == "lowe" else 5000,
+                "right": right,
+                "right_at": at,
+                "features1": 9,
+                "features2": 9,
+            }
             records.append(RankingRecord(**key, input=name, ranking=ranking, average_precision=0.3, **counts))
         runs = itertools.product(("usac", "beem", "blogs"), ("standard", "paper", "default"), range(3))
         for estimator, name, seed in runs:

@@ -80,9 +80,12 @@ def test_pixels_and_truth_change_alike(root, tmp_path, change):
 
 
 def test_pairs_are_chosen_by_rule():
-    sets = {name: [SimpleNamespace(pair_id=f"{k}") for k in range(count)] for name, count in (("a", 10), ("b", 8))}
-    assert list(chosen_pairs(sets)) == ["a-0", f"a-{EVERY}", "b-6"]
-    assert list(chosen_pairs(sets, without=["0"])) == ["a-1", "a-9"]
+    sets = {
+        name: [SimpleNamespace(pair_id=f"{k}") for k in range(count)]
+        for name, count in (("a", EVERY + 2), ("b", EVERY))
+    }
+    assert list(chosen_pairs(sets)) == ["a-0", f"a-{EVERY}", f"b-{EVERY - 2}"]
+    assert list(chosen_pairs(sets, without=["0"])) == ["a-1", f"a-{EVERY + 1}"]
 
 
 def test_sets_are_made_anew(root, tmp_path):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
+from epiprior_lab.pairsets.changed import EVERY
 from epiprior_lab.report.decision import decision_figure, decision_table
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.sections import Material, _changed
@@ -53,6 +54,6 @@ def test_changed_pairs_stand_beside_the_same_pairs_as_they_were(photographs):
     assert (learnt["successes"] == learnt["unchanged"]).all()
     how = {"params": photographs.params, "figures": {}, "kind": "photographs", "extras": photographs.extras}
     blocks = list(_changed(Material(results=results, tables={"changed": table}, **how)))
-    assert blocks[0].startswith("One pair in 8")
+    assert blocks[0].startswith(f"One pair in {EVERY}")
     assert [block.head for block in blocks[2::2]] == [["matches", "estimator", "as they are (2)", "turned90"]] * 2
     assert blocks[2].rows[2] == ["snn", row["estimator"], f"{row['unchanged']:.1f}", "0.0"]

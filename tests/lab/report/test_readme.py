@@ -30,7 +30,7 @@ def test_the_table_is_the_small_one_of_the_report(root, photograph_report):
     assert got.startswith("before\n<!-- results -->\n| matches | estimator | all pairs (12), 10 px |")
     assert got.endswith("|\n<!-- /results -->\nafter\n")
     lines = got.splitlines()[2:-2]
-    assert len(lines) == 2 + 6
+    assert len(lines) == 2 + 7
     assert "\n".join(lines) in (photograph_report[1] / "performance.md").read_text()
     assert readme.render_readme(got, root) == got
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from epiprior.errors import SettingsError
-from epiprior.presets import find_preset
+from epiprior.presets import SECOND_ROUND_COLUMNS, find_preset
+from epiprior.ranking.models import TARGETS
 from epiprior_lab.params import ExportedFamilies, TrainParams
 from epiprior_lab.training import comparison
 from epiprior_lab.training.comparison import train
@@ -89,9 +90,14 @@ def train_in(root, votes):
         described = np.column_stack([probability, ROWS.rows[found.rows]])
         return wide(described, find_preset(found.preset).match_columns), found.two_keypoint_labels
 
+    def second_round_sample(found, probability, first_round):
+        described, labels = match_rows(found, probability)
+        return wide(np.column_stack([first_round(described), described]), SECOND_ROUND_COLUMNS), labels
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "read_rows", read_rows)
         patch.setattr(comparison, "match_rows", match_rows)
+        patch.setattr(comparison, "second_round_sample", second_round_sample)
         return train(folders, PARAMS, workers=1, store=root / "store")
 
 
@@ -108,7 +114,8 @@ def trained(tmp_path_factory, votes):
 def test_all_families_are_compared(trained):
     assert list(trained) == ["paper", "default"]
     for preset, exported in (("paper", "tree"), ("default", "lightgbm")):
-        for found, target in zip(trained[preset], ("two_keypoint", "match"), strict=True):
+        targets = TARGETS if preset == "default" else TARGETS[:2]
+        for found, target in zip(trained[preset], targets, strict=True):
             assert (found.preset, found.exported, found.data.target) == (preset, exported, target)
             assert list(found.grouped) == list(FAMILIES)
             assert all(item.probability.shape == found.data.labels.shape for item in found.grouped.values())
@@ -118,7 +125,7 @@ def test_all_families_are_compared(trained):
 
 
 def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained, votes):
-    for preset, (first, _) in trained.items():
+    for preset, (first, *_) in trained.items():
         found = first.grouped[first.exported]
         for pair, kept, every in zip(ROWS.pairs.tolist(), first.data.slices, ROWS.slices, strict=True):
             number = found.fold[kept][0]
