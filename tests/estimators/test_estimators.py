@@ -34,7 +34,7 @@ def assert_sound(estimate: FundamentalEstimate, matches: MatchSet, threshold_px:
     assert (estimate.message == "") == bool(estimate)
     assert estimate.version
     if estimate.F is None:
-        assert not estimate.inliers.any()
+        assert estimate.H is not None or not estimate.inliers.any()
         return
     s = np.linalg.svd(estimate.F, compute_uv=False)
     assert s[2] < 1e-12 < s[1]
@@ -124,7 +124,8 @@ def test_what_decides_nothing_is_told(name, matches, statuses):
     estimate = run(name, matches)
     assert_sound(estimate, matches)
     assert estimate.status in statuses
-    assert "homography" in estimate.message or Status.NO_MODEL in statuses
+    if estimate.status is Status.DEGENERATE:
+        assert "F is not determined" in estimate.message or "does not move with the scene" in estimate.message
 
 
 @pytest.mark.parametrize("n", [0, 7])
@@ -227,6 +228,12 @@ def test_opencv_error_is_no_model(monkeypatch):
     assert run("usac", make_pair().matches).status is Status.NO_MODEL
 
 
+def pair_in_order(**how):
+    """A pair whose images do not change places, so that a backend may answer with its F."""
+    pairs = (make_pair(seed=seed, **how) for seed in range(20))
+    return next(pair for pair in pairs if pair.matches.x1[0, 0] < pair.matches.x2[0, 0])
+
+
 def backend_answers(monkeypatch, name, F):
     """Let the backend of an estimator return `F`, beside a mask that is garbage."""
     garbage = np.full((300, 1), 205, np.uint8)
@@ -263,7 +270,7 @@ def test_no_matrix_of_any_backend_is_taken_for_a_model(monkeypatch, name):
 
 @each_estimator
 def test_the_mask_of_no_backend_is_looked_at(monkeypatch, name):
-    pair = make_pair()
+    pair = pair_in_order()
     backend_answers(monkeypatch, name, pair.F)
     estimate = run(name, pair.matches)
     assert_sound(estimate, pair.matches)
@@ -285,7 +292,7 @@ def test_a_matrix_that_is_none_is_no_model(monkeypatch, F):
 
 
 def test_a_full_rank_matrix_is_brought_to_rank_two(monkeypatch):
-    pair = make_pair()
+    pair = pair_in_order()
     full = -5 * (pair.F + 1e-9 * np.eye(3))
     monkeypatch.setattr(opencv.OpenCVEstimator, "fit", lambda *_, **__: RawModel(F=full))
     estimate = run("usac", pair.matches)
@@ -295,7 +302,7 @@ def test_a_full_rank_matrix_is_brought_to_rank_two(monkeypatch):
 
 def test_too_little_support_is_no_model(monkeypatch):
     """A true F with 7 right matches among 30 wrong ones has no say."""
-    pair = make_pair(inliers=7, outliers=30)
+    pair = pair_in_order(inliers=7, outliers=30)
     monkeypatch.setattr(opencv.OpenCVEstimator, "fit", lambda *_, **__: RawModel(F=pair.F))
     assert run("usac", pair.matches).status is Status.NO_MODEL
 

@@ -142,7 +142,7 @@ def test_features_of_colmap_are_those_of_the_detector_and_are_ranked(tmp_path):
     images = {f"{k}.png": (size, *extracted(grey)) for k, grey in enumerate(pictures)}
     path = write_database(tmp_path / "a.db", images)
     first, second = (read_colmap_features(path, name) for name in images)
-    settings = FeatureSettings(detector="colmap-sift", max_keypoints=8192)
+    settings = FeatureSettings(detector="colmap-sift", max_keypoints=8192, contrast_threshold=0.02)
     detected = detect_features(load_photograph(pictures[0]), settings)
     assert len(first) == len(detected) > 100
     assert_frames(first, detected)
