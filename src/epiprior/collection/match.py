@@ -15,17 +15,13 @@ from epiprior.collection.images import CollectionImage
 from epiprior.collection.store import MatchedPair
 from epiprior.collection.workers import installation
 from epiprior.errors import SettingsError
+from epiprior.io.colmap import configuration_of
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.presets import Mode, PreprocessSettings
 from epiprior.two_view import estimate_fundamental
-from epiprior.types import Features, FloatArray, FundamentalEstimate, Geometry, IntArray
+from epiprior.types import Features, FloatArray, IntArray
 
 _SAME_PLACE_PX = 0.01
-_CONFIGURATIONS = {
-    Geometry.PLANAR: "PLANAR",
-    Geometry.ROTATION: "PANORAMIC",
-    Geometry.IDENTICAL: "WATERMARK",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,16 +43,6 @@ class MatchSettings:
         return hashlib.sha256("\0".join([*feature_keys, repr(self), installation()]).encode()).digest()
 
 
-def geometry_of(found: FundamentalEstimate) -> tuple[str, float]:
-    """Return COLMAP's configuration for an estimate, and the confidence; an empty name where there is no geometry.
-
-    The confidence is that of F; it is 1 where a homography relates the images.
-    """
-    if found:
-        return "UNCALIBRATED", found.confidence
-    return (_CONFIGURATIONS[found.geometry], 1.0) if found.H is not None else ("", 0.0)
-
-
 def match_pair(
     images: tuple[CollectionImage, CollectionImage], files: tuple[Path, Path], how: MatchSettings
 ) -> MatchedPair:
@@ -76,7 +62,7 @@ def match_pair(
         seed=how.seed,
         threshold_px=how.threshold_px,
     )
-    geometry, confidence = geometry_of(found)
+    geometry = configuration_of(found)
     inliers = np.flatnonzero(found.inliers) if geometry else np.empty(0, np.int64)
     rows = np.column_stack([_rows_of(first, found.x1[inliers]), _rows_of(second, found.x2[inliers])])
     return MatchedPair(
@@ -85,7 +71,7 @@ def match_pair(
         status=found.status.value,
         message=found.message,
         geometry=geometry,
-        confidence=confidence,
+        confidence=found.confidence if found else float(bool(geometry)),
         F=found.F if found else None,
         H=found.H,
         matches=rows[one_to_one_mask(*rows.T)],

@@ -1,9 +1,8 @@
 """From a database to COLMAP's model: pycolmap's incremental mapper, which gives the same model each time."""
 
-import contextlib
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from epiprior.io.colmap import quiet
 from epiprior.types import FloatArray
 
 
@@ -51,7 +51,7 @@ def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0, 
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed, options.ignore_watermarks = 1, seed, True
     options.ba_refine_focal_length = options.ba_refine_extra_params = refine
-    with _quiet(pycolmap):
+    with quiet():
         found = pycolmap.incremental_mapping(database, image_root, out, options)
     models = []
     for number, reconstruction in sorted(found.items()):
@@ -74,14 +74,3 @@ def _model(folder: Path, reconstruction: Any) -> Model:
         tracks=Counter(len({e.image_id for e in point.track.elements}) for point in points),
         error_px=float(reconstruction.compute_mean_reprojection_error()),
     )
-
-
-@contextlib.contextmanager
-def _quiet(pycolmap: Any) -> Iterator[None]:
-    """Silence pycolmap's log below errors; it writes to stderr."""
-    before = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
-    try:
-        yield
-    finally:
-        pycolmap.logging.minloglevel = before

@@ -166,8 +166,8 @@ def run_alone(expected: str, function: Callable[..., Any], args: tuple[Any, ...]
             raise WorkerError(f"{error!r}\n{traceback.format_exc()}") from None
 
 
-@contextlib.contextmanager
-def _on_cluster(address: str) -> Iterator[Pool]:
+def connect_scheduler(address: str) -> Any:
+    """Return a client of a dask scheduler; SettingsError if dask is not installed or none answers at `address`."""
     try:
         from distributed import Client
         from distributed.comm.addressing import get_address_host_port
@@ -176,13 +176,17 @@ def _on_cluster(address: str) -> Iterator[Pool]:
     try:
         # Asked before dask is: a client without a scheduler leaves a thread behind that later ones may wait for.
         socket.create_connection(get_address_host_port(address), _SECONDS_TO_CONNECT).close()
-        client = Client(address, timeout=_SECONDS_TO_CONNECT, set_as_default=False)  # type: ignore[no-untyped-call]
+        return Client(address, timeout=_SECONDS_TO_CONNECT, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TypeError) as error:
         raise SettingsError(f"scheduler = {address!r}: no dask scheduler answers there: {error}") from error
-    with client:
-        executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+
+
+@contextlib.contextmanager
+def _on_cluster(address: str) -> Iterator[Pool]:
+    with connect_scheduler(address) as client:
+        executor = client.get_executor(pure=False)
         try:
-            yield Pool(submit=executor.submit, capacity=lambda: 2 * max(1, len(client.nthreads())))  # type: ignore[no-untyped-call]
+            yield Pool(submit=executor.submit, capacity=lambda: 2 * max(1, len(client.nthreads())))
         except BaseException:
             executor.shutdown(wait=False)
             raise

@@ -5,8 +5,9 @@ Its mapper reads ``two_view_geometries``, yet counts a pair only where ``matches
 written.
 """
 
+import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +22,11 @@ from epiprior.io.output import check_output, replacing
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.types import FloatArray, FundamentalEstimate, Geometry, IntArray
 
+_CONFIGURATIONS = {
+    Geometry.PLANAR: "PLANAR",
+    Geometry.ROTATION: "PANORAMIC",
+    Geometry.IDENTICAL: "WATERMARK",
+}
 _HALF_PIXEL = 0.5  # COLMAP has the centre of the top-left pixel there
 _TO_OURS = np.array([[1.0, 0.0, -_HALF_PIXEL], [0.0, 1.0, -_HALF_PIXEL], [0.0, 0.0, 1.0]])
 
@@ -96,6 +102,19 @@ def check_colmap_output(path: Path) -> ModuleType:
     if path.exists():
         raise OutputError(f"{path}: exists already; a database is not overwritten")
     return pycolmap
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Silence pycolmap's log below errors; it writes to stderr."""
+    import pycolmap
+
+    before = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    try:
+        yield
+    finally:
+        pycolmap.logging.minloglevel = before
 
 
 def find_pycolmap(path: Path) -> ModuleType:
@@ -224,15 +243,17 @@ def _add_estimate(
 ) -> None:
     order = np.argsort(~estimate.inliers, kind="stable")
     order = order[one_to_one_mask(*(index[order] for index in indices))]
-    inliers, configuration, H = int(estimate.inliers[order].sum()), "", None
-    if estimate and estimate.F is not None:
-        configuration = "UNCALIBRATED"
-    elif estimate.H is not None:
-        configuration = "PLANAR" if estimate.geometry is Geometry.PLANAR else "PLANAR_OR_PANORAMIC"
-        H = estimate.H
+    inliers, configuration = int(estimate.inliers[order].sum()), configuration_of(estimate)
     if len(order):
         matches = np.column_stack(indices)[order]
-        add_pair(database, ids, matches, inliers=inliers, configuration=configuration, F=estimate.F, H=H)
+        add_pair(database, ids, matches, inliers=inliers, configuration=configuration, F=estimate.F, H=estimate.H)
+
+
+def configuration_of(estimate: FundamentalEstimate) -> str:
+    """Return COLMAP's name for the geometry of an estimate; empty where there is none."""
+    if estimate:
+        return "UNCALIBRATED"
+    return _CONFIGURATIONS[estimate.geometry] if estimate.H is not None else ""
 
 
 def fundamental_for_colmap(F: FloatArray) -> FloatArray:

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import signal
-import socket
 import threading
 import time
 import warnings
@@ -14,10 +13,10 @@ from typing import Any
 
 from joblib.externals.loky import get_reusable_executor
 
+from epiprior.collection.workers import connect_scheduler
 from epiprior.errors import EpipriorError, SettingsError
 
 _IDLE_SECONDS = 300  # workers stay for the next work, with all that they have imported and compiled
-_CONNECT_SECONDS = 30
 _FIRST_WORKER_SECONDS = 60
 _PARENT_CHECK_SECONDS = 1.0
 
@@ -92,29 +91,18 @@ def _follow_parent(parent: int) -> None:
 
 @contextlib.contextmanager
 def _on_cluster(address: str) -> Iterator[Pool]:
-    try:
-        from distributed import Client
-        from distributed.comm.addressing import get_address_host_port
-    except ImportError as error:
-        raise SettingsError(f"scheduler = {address!r}: install epiprior[cluster], it needs distributed") from error
-    try:
-        # Asked before dask is: a client without a scheduler leaves a thread behind that later ones may wait for.
-        socket.create_connection(get_address_host_port(address), _CONNECT_SECONDS).close()
-        client = Client(address, timeout=_CONNECT_SECONDS, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError, TypeError) as error:
-        raise SettingsError(f"scheduler = {address!r}: no dask scheduler answers there: {error}") from error
-    with client, warnings.catch_warnings():
+    with connect_scheduler(address) as client, warnings.catch_warnings():
         try:
             client.wait_for_workers(1, timeout=_FIRST_WORKER_SECONDS)
         except TimeoutError as error:
             raise SettingsError(f"scheduler = {address!r}: no worker within {_FIRST_WORKER_SECONDS} s") from error
         # A task carries its own arguments; there is no graph that could be smaller.
         warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-        executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+        executor = client.get_executor(pure=False)
 
         def capacity() -> int:
             try:  # workers may come and go
-                return 2 * max(1, len(client.nthreads()))  # type: ignore[no-untyped-call]
+                return 2 * max(1, len(client.nthreads()))
             except OSError as error:
                 raise BrokenExecutor(f"no connection to the scheduler: {error}") from error
 

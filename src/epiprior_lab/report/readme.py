@@ -8,9 +8,9 @@ from pathlib import Path
 
 from epiprior.errors import EpipriorError
 from epiprior_lab.params import PHOTOGRAPHS, load_params
+from epiprior_lab.report.material import features_by_input, summary_table
 from epiprior_lab.report.page import table_lines
 from epiprior_lab.report.results import read_table
-from epiprior_lab.report.sections import summary_table
 from epiprior_lab.report.text import ALL
 
 TABLES = Path("reports/real/tables")
@@ -45,5 +45,6 @@ def render_readme(text: str, root: Path) -> str:
     successes = read_table(root / TABLES / "successes.csv", _SUCCESSES)
     cascade = read_table(root / TABLES / "cascade.csv", _CASCADE)
     px = (report.success_px, report.strict_px)
-    lines = table_lines(summary_table(successes, cascade, (ALL, *report.hard_groups), px))
+    features = features_by_input(read_table(root / TABLES / "rankings.csv", "group"))
+    lines = table_lines(summary_table(successes, cascade, (ALL, *report.hard_groups), px, features))
     return _SECTION.sub(lambda match: match[1] + "\n".join(lines) + "\n" + match[3], text)

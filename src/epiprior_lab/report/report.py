@@ -13,10 +13,11 @@ from epiprior_lab.report.bounds import judge
 from epiprior_lab.report.cascade import cascade_table
 from epiprior_lab.report.confidence import confidence_figure, confidence_table, kind_table
 from epiprior_lab.report.gallery import write_gallery
+from epiprior_lab.report.material import Extras, Material
 from epiprior_lab.report.page import Page
 from epiprior_lab.report.prose import say
 from epiprior_lab.report.results import Results, read_table
-from epiprior_lab.report.sections import Extras, Material, all_sections
+from epiprior_lab.report.sections import all_sections
 from epiprior_lab.report.text import ALL, DIFFICULTIES, OURS
 
 TITLES = {

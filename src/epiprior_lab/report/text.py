@@ -45,7 +45,11 @@ METRIC_TITLES: Mapping[str, str] = {
     "brier_score": "Brier score",
     "expected_calibration_error": "calibration error",
 }
-TARGET_TITLES: Mapping[str, str] = {"two_keypoint": "2keypoint matches", "match": "matches"}
+TARGET_TITLES: Mapping[str, str] = {
+    "two_keypoint": "2keypoint matches",
+    "match": "matches",
+    "second_round": "matches, second round",
+}
 
 Row = Mapping[Any, Any]
 

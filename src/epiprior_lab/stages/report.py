@@ -12,10 +12,10 @@ from epiprior_lab.params import STUDY, Params, StudyParams, load_params
 from epiprior_lab.report.bounds import BOUNDS, load_bounds
 from epiprior_lab.report.figures import roll_figure
 from epiprior_lab.report.gallery import choose_cases, draw_cases
+from epiprior_lab.report.material import Extras
 from epiprior_lab.report.pictures import contact_sheet, density_of_roll, example_picture, rescued_pair, rolled_pairs
 from epiprior_lab.report.report import HAND_OVER_COLUMNS, read_classifiers, read_results, write_report
 from epiprior_lab.report.results import Results, read_table
-from epiprior_lab.report.sections import Extras
 
 GALLERY = Path("data/photographs-gallery")
 OF_OTHER_STAGES = {name: f"timings/{name}.png" for name in ("decision", "overhead", "estimators")}

@@ -141,7 +141,7 @@ def test_rows_of_a_pair(analysed):
     found = {name: set(part["variant"]) for name, part in results.groupby("experiment")}
     steps = {"standard", "2keypoint", "sfm", "single F", "single F, refined", "paper", "default", "beyond"}
     assert found["steps"] == steps
-    assert found["ablation"] == {"default", "X alone", "frames of SIFT", "oriented matches", "K_2kp 12"}
+    assert found["ablation"] == {"default", "one round", "X alone", "frames of SIFT", "oriented matches", "K_2kp 12"}
     relief = results[results["pair_id"] == "relief-0"].set_index(["experiment", "variant", "estimator", "ranking"])
     for row in (
         ("steps", "standard", "usac", "lowe"),
@@ -311,7 +311,7 @@ def evaluated():
         for estimator, name, seed in runs:
             won = name == "default" or (estimator == "beem" and seed < 2)
             values = dict.fromkeys(measures, np.nan) | {"iterations": None, "error_px": 2.0 if won else 30.0}
-            counts = dict.fromkeys(("support", "matches"), 9)
+            counts = dict.fromkeys(("support", "matches"), 9) | {"geometry": "general"}
             records.append(
                 RunRecord(**key, estimator=estimator, input=name, seed=seed, status="ok", **counts, **values)
             )

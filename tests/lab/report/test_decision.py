@@ -7,8 +7,9 @@ import pytest
 
 from epiprior_lab.pairsets.changed import EVERY
 from epiprior_lab.report.decision import decision_figure, decision_table
+from epiprior_lab.report.material import Material
+from epiprior_lab.report.result_sections import changed
 from epiprior_lab.report.results import Results
-from epiprior_lab.report.sections import Material, _changed
 from epiprior_lab.report.tables import changed_table
 from synthetic_tables import photograph_tables, timing_table
 
@@ -53,7 +54,7 @@ def test_changed_pairs_stand_beside_the_same_pairs_as_they_were(photographs):
     learnt = table[table["input"] == "aliked"]
     assert (learnt["successes"] == learnt["unchanged"]).all()
     how = {"params": photographs.params, "figures": {}, "kind": "photographs", "extras": photographs.extras}
-    blocks = list(_changed(Material(results=results, tables={"changed": table}, **how)))
+    blocks = list(changed(Material(results=results, tables={"changed": table}, **how)))
     assert blocks[0].startswith(f"One pair in {EVERY}")
     assert [block.head for block in blocks[2::2]] == [["matches", "estimator", "as they are (2)", "turned90"]] * 2
     assert blocks[2].rows[2] == ["snn", row["estimator"], f"{row['unchanged']:.1f}", "0.0"]

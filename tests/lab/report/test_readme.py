@@ -27,7 +27,7 @@ def root(tmp_path, photograph_report):
 
 def test_the_table_is_the_small_one_of_the_report(root, photograph_report):
     got = readme.render_readme(TEXT, root)
-    assert got.startswith("before\n<!-- results -->\n| matches | estimator | all pairs (12), 10 px |")
+    assert got.startswith("before\n<!-- results -->\n| matches | estimator | features | all pairs (12), 10 px |")
     assert got.endswith("|\n<!-- /results -->\nafter\n")
     lines = got.splitlines()[2:-2]
     assert len(lines) == 2 + 7

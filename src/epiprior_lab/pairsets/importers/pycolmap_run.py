@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from epiprior.io.colmap import quiet
 from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.pairsets.importers.output import Photograph, check_photographs, progress_bar
 
@@ -40,7 +41,7 @@ def matched(photographs: Sequence[Photograph]) -> Iterator[Matched]:
     cannot be decoded; all are checked first.
     """
     check_photographs(photographs)
-    with tempfile.TemporaryDirectory() as scratch, _quiet():
+    with tempfile.TemporaryDirectory() as scratch, quiet():
         root = Path(scratch)
         (root / "images").mkdir()
         (root / "model").mkdir()
@@ -53,19 +54,6 @@ def matched(photographs: Sequence[Photograph]) -> Iterator[Matched]:
         found = Matched(root / "database.db", root / "images", root / "model", named)
         _match(found)
         yield found
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence pycolmap's log below errors; it writes to stderr."""
-    import pycolmap
-
-    before = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
-    try:
-        yield
-    finally:
-        pycolmap.logging.minloglevel = before
 
 
 def _match(found: Matched) -> None:

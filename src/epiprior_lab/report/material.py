@@ -1,0 +1,114 @@
+"""What a report is made of: results, tables, figures and what is shown beside them."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.pairsets import KnownSet
+from epiprior_lab.params import ReportParams
+from epiprior_lab.report import text
+from epiprior_lab.report.bounds import Bound
+from epiprior_lab.report.gallery import Case
+from epiprior_lab.report.page import Block, Picture, Table
+from epiprior_lab.report.prose import picture
+from epiprior_lab.report.results import Results
+from epiprior_lab.report.text import ALL, OURS, group_title, input_title, number, order_of
+
+CASCADE = "cascade"
+Maker = Callable[["Material"], Iterator[Block | tuple[()]]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extras:
+    """What a report shows beside the results; each may be left out.
+
+    `known_sets` are listed even where they are not present. `classifiers` are from `read_classifiers`, `hand_over` is
+    the search on validation scenes, `kinds` are the records of pairs of other kinds. `pictures`, by the names of the
+    prose, and those of the `cases` are in the report's folder already; `gallery` is the folder of the cases on
+    photographs: its page is written too.
+    """
+
+    rule: CascadeRule | None = None
+    bounds: Sequence[Bound] = ()
+    known_sets: Sequence[KnownSet] = ()
+    classifiers: pd.DataFrame | None = None
+    hand_over: pd.DataFrame | None = None
+    kinds: pd.DataFrame | None = None
+    pictures: Mapping[str, Path] = field(default_factory=dict)
+    cases: Sequence[Case] = ()
+    gallery: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """Everything that a report shows.
+
+    `tables` are by the names of their CSV files, `figures` paths relative to the page; those that there are. `kind` is
+    one of `report.TITLES`.
+    """
+
+    results: Results
+    params: ReportParams
+    tables: Mapping[str, pd.DataFrame]
+    figures: Mapping[str, str]
+    kind: str
+    extras: Extras
+
+    def picture(self, name: str, **values: Any) -> tuple[Picture, ...]:
+        """Return a figure; empty where there is none."""
+        return (picture(name, self.figures[name], **values),) if name in self.figures else ()
+
+    def groups_of(self, name: str) -> Iterator[tuple[str, pd.DataFrame]]:
+        """Yield the rows of each main group of a table; nothing where there is no such table."""
+        table = self.tables.get(name)
+        if table is not None:
+            yield from ((str(g), p) for g, p in table.groupby("group", sort=False) if g in self.results.main)
+
+
+def summary_table(
+    successes: pd.DataFrame,
+    cascade: pd.DataFrame | None,
+    groups: Sequence[str],
+    px: Sequence[float],
+    features: Mapping[str, float] | None = None,
+) -> Table:
+    """Return the small table: per input shares of pairs that succeed, a column per threshold `px` and group.
+
+    Every input has the estimator that serves it best over all pairs below the first threshold. `features` are their
+    numbers per image, by input; without them there is no such column.
+    """
+    columns = ["threshold_px", "group", "estimator", "pairs", "input", "successes"]
+    table = successes[columns]
+    if cascade is not None:
+        own = cascade.assign(input=CASCADE, successes=cascade[CASCADE])
+        table = pd.concat([table, own[columns]], ignore_index=True)
+    whole = table[(table["group"] == ALL) & (table["threshold_px"] == px[0])]
+    sizes = table.drop_duplicates("group").set_index("group")["pairs"]
+    names = [name for name in order_of(whole["input"]) if name != "generalized"]
+    who, values = [], []
+    order = [*text.BASELINES, "snn", *text.PEER_TITLES, "paper", CASCADE, OURS]
+    for name in sorted(names, key=lambda n: order.index(n) if n in order else 2):
+        of_input = whole[whole["input"] == name].sort_values("successes", ascending=False, kind="stable")
+        best = str(of_input["estimator"].iloc[0])
+        own = table[(table["input"] == name) & (table["estimator"] == best)].set_index(["group", "threshold_px"])
+        count = number((features or {}).get(OURS if name == CASCADE else name, np.nan), 0)
+        title = "cascade of X_L and ours" if name == CASCADE else input_title(name)
+        who.append([title, best, *([count] if features else [])])
+        values.append([100 * own["successes"][g, t] / sizes[g] for t in px for g in groups])
+    texts = zip(*(text.best_bold(column) for column in zip(*values, strict=True)), strict=True)
+    head = ["matches", "estimator", *(["features"] if features else [])]
+    head += [f"{group_title(g, int(sizes[g]))}, {t:g} px" for t in px for g in groups]
+    return Table(head=head, rows=[[*names, *cells] for names, cells in zip(who, texts, strict=True)], texts=2)
+
+
+def features_by_input(rankings: pd.DataFrame | None) -> dict[str, float]:
+    """Return the number of features per image of every input over all pairs; empty where a table does not tell."""
+    if rankings is None or "features" not in rankings:
+        return {}
+    counts = rankings[rankings["group"] == ALL].groupby("input")["features"].first()
+    return {str(name): float(count) for name, count in counts.items()}

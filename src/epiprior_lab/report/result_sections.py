@@ -1,0 +1,238 @@
+"""Sections on how well it works: successes, duels, poses, rankings, calibration, cascade."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from epiprior_lab.pairsets.changed import EVERY
+from epiprior_lab.report import text
+from epiprior_lab.report.cascade import rule_in_words
+from epiprior_lab.report.material import CASCADE, Material, features_by_input, summary_table
+from epiprior_lab.report.page import Block, Table
+from epiprior_lab.report.prose import say
+from epiprior_lab.report.tables import ENOUGH_IN_BIN, ENOUGH_RIGHT, PRECISIONS
+from epiprior_lab.report.text import ALL, OURS, group_title, input_title, interval, number, order_of, share, signed
+
+
+def summary(m: Material) -> Iterator[Block]:
+    """Yield the small table and the curve of successes."""
+    px = list(dict.fromkeys((m.params.success_px, m.params.strict_px)))
+    yield say("summary")
+    features = features_by_input(m.tables.get("rankings"))
+    yield summary_table(m.tables["successes"], m.tables.get(CASCADE), (ALL, *m.results.hard), px, features)
+    yield m.picture("successes", seeds=m.results.tables.runs["seed"].nunique())
+
+
+def successes(m: Material) -> Iterator[Block]:
+    """Yield successes of every estimator on every input, with contributions: the paper's Table 2."""
+    table, success_px, main = m.tables["successes"], m.params.success_px, m.results.main
+    yield say("successes")
+    at = table[(table["threshold_px"] == success_px) & (table["group"] == ALL)]
+    own = at[at["estimator"] == m.params.champion].set_index("input")
+    if OURS in own.index:
+        ours, without = own.loc[OURS], own[own["gain"].isna()].iloc[0]
+        lost = (at["successes"] - at["successes_ok"])[at["input"] == OURS]
+        values = {"champion": m.params.champion, "success_px": success_px, "least": lost.min(), "most": lost.max()}
+        values |= {"ours": ours["successes"], "ours_ok": ours["successes_ok"]}
+        yield say("ok only", without=without["successes"], without_ok=without["successes_ok"], **values)
+    yield _compact(table[(table["threshold_px"] == success_px) & table["group"].isin(main)], m)
+    for threshold in m.params.thresholds_px:
+        at = table[(table["threshold_px"] == threshold) & table["group"].isin(main)]
+        yield _success_block(at, f"Below {threshold:g} px")
+    at = table[(table["threshold_px"] == success_px) & ~table["group"].isin(main)]
+    if len(at):
+        yield _success_block(at, f"Every set, below {success_px:g} px")
+    yield m.picture("curves")
+
+
+def named(row: text.Row) -> dict[str, Any]:
+    """Return a row of a table as the values that a sentence names."""
+    return {str(name): value for name, value in row.items()}
+
+
+def _compact(at: pd.DataFrame, m: Material) -> Table:
+    """Return one row per estimator; per group the successes on every input, the best bold; then shares per scene."""
+    records = at.set_index(["estimator", "group", "input"]).to_dict("index")
+    groups = order_of(at["group"])
+    by_scene = [group for group in groups if group in (*m.results.hard, ALL)]
+    rows = []
+    for estimator in order_of(at["estimator"]):
+
+        def side_by_side(group: str, column: str, digits: int, of: str = estimator) -> str:
+            found = (records.get((of, group, name), {}) for name in _inputs(m, of))
+            values = (row.get(column, np.nan) * (1 if column == "successes" else 100) for row in found)
+            return " / ".join(cell or "–" for cell in text.best_bold(values, digits))
+
+        cells = [side_by_side(group, "successes", 1) for group in groups]
+        cells.append(interval(records.get((estimator, ALL, OURS), {}), "gain"))
+        rows.append([estimator, *cells, *(side_by_side(group, "scene_share", 0) for group in by_scene)])
+    pairs = at.drop_duplicates("group").set_index("group")["pairs"]
+    head = [f"{_names(m)}, below {m.params.success_px:g} px", *(group_title(g, int(pairs[g])) for g in groups)]
+    return Table(head=[*head, "ours over X_L", *(f"{g}, % per scene" for g in by_scene)], rows=rows)
+
+
+def _names(m: Material) -> str:
+    """Return the inputs side by side, as their numbers stand in one cell."""
+    return " / ".join(input_title(n) for n in m.results.inputs_of_all if n not in ("generalized", "paper"))
+
+
+def _inputs(m: Material, estimator: str) -> list[str]:
+    """Return the inputs of `_names`, with what this estimator gets without preprocessing; it may lack some of them."""
+    without = m.results.inputs(estimator)[0]
+    shown = [name for name in m.results.inputs_of_all if name not in ("generalized", "paper")]
+    return [without if name in text.BASELINES else name for name in shown]
+
+
+def changed(m: Material) -> Iterator[Block]:
+    """Yield turned and shrunk photographs beside the same pairs as they are."""
+    table = m.tables["changed"]
+    yield say("changed", every=EVERY)
+    for threshold, at in table.groupby("threshold_px", sort=False):
+        records = at.set_index(["input", "group"]).to_dict("index")
+        groups, rows = order_of(at["group"]), []
+        for name in order_of(at["input"]):
+            found = [records[name, group] for group in groups]
+            rows.append([input_title(name), found[0]["estimator"], number(found[0]["unchanged"], 1)])
+            rows[-1] += [number(row["successes"], 1) for row in found]
+        head = ["matches", "estimator", f"as they are ({int(at['pairs'].iloc[0])})", *groups]
+        yield f"Pairs below {threshold:g} px:"
+        yield Table(head=head, rows=rows, texts=2)
+
+
+def _success_block(at: pd.DataFrame, title: str) -> Table:
+    others = sorted((n for n in order_of(at["input"]) if n not in text.BASELINES), key=lambda name: name == OURS)
+    compared = [("paper", "gain", "as printed over X_L")] if "paper" in others else []
+    compared += [(OURS, "gain", "ours over X_L"), (OURS, "snn_gain", "ours over snn")]
+    rows: list[list[str]] = []
+    for group, of_group in at.groupby("group", sort=False):
+        rows.append([group_title(str(group), int(of_group["pairs"].iloc[0]))])
+        for estimator, part in of_group.groupby("estimator", sort=False):
+            cells: dict[str, text.Row] = {str(row["input"]): row for row in part.to_dict("records")}
+            without, ours = next(row for name, row in cells.items() if name in text.BASELINES), cells.get(OURS, {})
+            found = [without, *(cells.get(name) for name in others)]
+            texts = ["" if row is None else f"{row['successes']:.1f} ± {row['successes_sd']:.1f}" for row in found]
+            texts += [interval(cells.get(name, {}), column) for name, column, _ in compared]
+            texts.append(" → ".join(share(row.get("scene_share", np.nan)) for row in (without, ours)))
+            texts.append(interval(ours, "scene_gain", text.points))
+            texts.append(" → ".join(number(row.get("successes_ok", np.nan), 1) for row in (without, ours)))
+            rows.append([str(estimator), *texts])
+    head = ["estimator", "X_L", *(input_title(name) for name in others), *(title for *_, title in compared)]
+    return Table(head=[*head, "per scene", "points", "ok only"], rows=rows, fold=title)
+
+
+def duels(m: Material) -> Iterator[Block]:
+    """Yield the champion against every other estimator."""
+    yield say("duels", champion=m.params.champion)
+    yield m.picture("duels")
+    for threshold, at in m.tables["duels"].groupby("threshold_px", sort=False):
+        places = [(group, name) for group in order_of(at["group"]) for name in order_of(at["input"])]
+        records = at.set_index(["estimator", "group", "input"]).to_dict("index")
+        rows = []
+        for estimator in order_of(at["estimator"]):
+            found = [records.get((estimator, *place), {}) for place in places]
+            marks = ("" if row.get("decided", "open") == "open" else "**" for row in found)
+            cells = (interval(row, "difference", signed) for row in found)
+            rows.append([estimator, *(f"{mark}{cell}{mark}" for mark, cell in zip(marks, cells, strict=True))])
+        head = ["against", *(f"{group}, {input_title(name)}" for group, name in places)]
+        yield Table(head=head, rows=rows, fold=f"Pairs ahead below {threshold:g} px")
+
+
+def poses(m: Material) -> Iterator[Block]:
+    """Yield poses under the true calibration, and distances to the true F."""
+    table, degrees, champion = m.tables["geometry"], sorted(m.params.pose_deg), m.params.champion
+    at = table[(table["cameras"] > 0) & table["group"].isin(m.results.main)]
+    ours = at[(at["group"] == ALL) & (at["input"] == OURS) & (at["posed_successes"] > 0)]
+    if len(ours):
+        wrong = (ours["wrong_poses"] / ours["posed_successes"]).set_axis(ours["estimator"])
+        values = {"own": f"{share(wrong[champion])} with {champion}, " if champion in wrong.index else ""}
+        values |= {"least": share(wrong.min()), "most": share(wrong.max())}
+        yield say("poses", success_px=m.params.success_px, limit=degrees[-1], **values)
+    yield say("pose table")
+    places = [(group, degrees[len(degrees) // 2]) for group in order_of(at["group"]) if group != ALL]
+    places += [(ALL, limit) for limit in degrees]
+    records = at.set_index(["estimator", "group", "input"]).to_dict("index")
+    rows = []
+    for estimator in order_of(at["estimator"]):
+        keys = [[(estimator, group, name) for name in _inputs(m, estimator)] for group, _ in places]
+        areas = (
+            [100 * records.get(key, {}).get(f"auc_{t:g}", np.nan) for key in of_place]
+            for of_place, (_, t) in zip(keys, places, strict=True)
+        )
+        cells = (" / ".join(cell or "–" for cell in text.best_bold(values, 0)) for values in areas)
+        rows.append([estimator, *cells])
+    cameras = at.drop_duplicates("group").set_index("group")["cameras"].to_dict()
+    head = [_names(m), *(f"{group_title(g, cameras.get(g, 0))}, {t:g}°" for g, t in places)]
+    yield Table(head=head, rows=rows)
+    columns: dict[str, str] = {}
+    for limit in degrees:
+        columns |= {f"auc_{limit:g}": f"pose, AUC {limit:g}°", f"scene_auc_{limit:g}": "per scene"}
+    columns["distance_recall"] = f"distance < {m.params.distance_recall:g}"
+    for group, part in m.groups_of("geometry"):
+        rows = [
+            [row["estimator"], input_title(row["input"]), *(share(row.get(name, np.nan)) for name in columns)]
+            + [number(row.get("median_distance", np.nan), 4)]
+            for row in part.to_dict("records")
+        ]
+        posed, true = part[["cameras", "true_F"]].iloc[0]
+        title = f"{group_title(group)} ({posed} with cameras, {true} with a true F)"
+        head = ["estimator", "input", *columns.values(), "median distance"]
+        yield Table(head=head, rows=rows if posed or true else [], texts=2, fold=title)
+
+
+def rankings(m: Material) -> Iterator[Block]:
+    """Yield precision of the rankings."""
+    yield say("rankings")
+    yield m.picture("rankings")
+    rows: list[list[str]] = []
+    for group, part in m.groups_of("rankings"):
+        rows.append([group_title(group, int(part["pairs"].max()))])
+        for row in part.to_dict("records"):
+            ranking = text.RANKING_TITLES.get(row["ranking"], row["ranking"])
+            title = input_title(row["input"]) + ("" if row["ranking"] == "final" else f", {ranking}")
+            cells = [f"{number(row[c])} / {number(row[f'scene_{c}'])}" for c in PRECISIONS]
+            cells += [f"{row[name]:.0f}" for name in ("features", "matches", "right")] + [share(row["enough"])]
+            rows.append([title, *cells, interval(row, "gain", lambda value: signed(value, 2))])
+    head = ["ranking", "top 10", "top 100", "top 500", "average precision", "features", "matches", "right"]
+    yield Table(head=[*head, f"pairs with {ENOUGH_RIGHT} right", "gain, top 100"], rows=rows)
+
+
+def calibration(m: Material) -> Iterator[Block]:
+    """Yield how far probabilities can be believed."""
+    sentences, rows = [say("calibration")], []
+    for group, part in m.groups_of("calibration"):
+        for row in part.to_dict("records"):
+            title = group_title(group)
+            if row["input"] == OURS and not np.isnan(row.get("gap_stated", np.nan)):
+                name = "calibration of all" if group == ALL else "calibration of a group"
+                sentences.append(say(name, title=title[0].upper() + title[1:], **named(row)))
+            rows.append(
+                [input_title(row["input"]), title, f"{row['matches']:,}", f"{row['right']:,}"]
+                + [number(row["brier_score"], 4), number(row["expected_calibration_error"], 4)]
+                + [share(row["lowest_share"]), number(row["upper_error"], 4)]
+            )
+    yield " ".join(sentences)
+    yield m.picture("calibration", enough=ENOUGH_IN_BIN)
+    head = ("matches", "pairs", "ranked", "right", "Brier score", "calibration error", "in lowest bin", "others")
+    yield Table(head=head, rows=rows, texts=2)
+
+
+def cascade(m: Material) -> Iterator[Block]:
+    """Yield what the cascade loses against always preprocessing."""
+    table, success_px = m.tables[CASCADE], m.params.success_px
+    losses = []
+    for threshold, part in table[table["group"] == ALL].groupby("threshold_px", sort=False):
+        worst = max(part.to_dict("records"), key=lambda row: float(row["lost"]))
+        losses.append(f"{worst['estimator']}, {worst['lost']:.1f} of {worst['pairs']} pairs below {threshold:g} px")
+    rule = "" if m.extras.rule is None else rule_in_words(m.extras.rule)
+    yield say(CASCADE, rule=rule, success_px=success_px, losses="; ".join(losses))
+    rows: list[list[str]] = []
+    counts = ("without", "always", "cascade", "lost", "won")
+    for group, part in m.groups_of(CASCADE):
+        rows.append([group_title(group, int(part["pairs"].iloc[0]))])
+        for row in part[part["threshold_px"] == success_px].to_dict("records"):
+            cells = [*(number(row[name], 1) for name in counts), interval(row, "change", signed)]
+            rows.append([row["estimator"], *cells, share(row["preprocessed"])])
+    yield Table(head=("estimator", *counts, "cascade over always", "runs preprocessed"), rows=rows)
+    yield m.picture(CASCADE)
