@@ -117,7 +117,7 @@ def confidence_figure(kinds: pd.DataFrame, success_px: float, path: Path) -> Non
             if score == "confidence":
                 reliability.plot([0, 1], [0, 1], color=MUTED, lw=1, ls=(0, (2, 2)))
                 reliability.plot(*calibration_bins(values, right, 10).curve[:, :2].T, marker="o", ms=4, **how)
-        roc.set(xlabel="share of wrong F and unrelated pairs", ylabel="share of right F", xscale="symlog", ylim=(0, 1))
+        roc.set(xlabel="share of wrong F and unrelated pairs", ylabel="share of right F", ylim=(0, 1))
         roc.set_xscale("symlog", linthresh=0.01)
         roc.set_xlim(0, 1)
         reliability.set(xlabel="confidence", ylabel="share of right F", xlim=(0, 1), ylim=(0, 1))
