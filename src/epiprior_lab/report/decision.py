@@ -21,7 +21,7 @@ def decision_table(
     """Return successes and seconds of every timed input, with the estimator that serves it best, and with the `usual`.
 
     Columns: ``input, choice`` (`BEST`: the most successes on these pairs below the first threshold, in hindsight; or
-    `USUAL`, where the input has it), ``estimator, pairs, successes_<threshold>`` over the hard pairs, or all where none
+    `USUAL`, where the input has another), ``estimator, pairs, successes_<threshold>`` over the hard pairs, or all where none
     is hard; and medians over the timed pairs: ``seconds_pair``, from both files to F, and ``seconds_shared``, what a
     pair costs once the features of its images are there.
     """
@@ -34,7 +34,7 @@ def decision_table(
         known = [e for e in results.estimators if name in results.inputs(e) and (name, e) in medians]
         counts = {e: [float(results.errors.of(e, name, px)[member].sum()) for px in thresholds_px] for e in known}
         best = max(known, key=lambda estimator: counts[estimator])
-        for choice, estimator in ((BEST, best), *([(USUAL, usual)] if usual in known else [])):
+        for choice, estimator in ((BEST, best), *([(USUAL, usual)] if usual in known and usual != best else [])):
             row: dict[str, Any] = {"input": name, "choice": choice, "estimator": estimator, "pairs": int(member.sum())}
             row |= {f"successes_{px:g}": n for px, n in zip(thresholds_px, counts[estimator], strict=True)}
             found = medians[name, estimator]
