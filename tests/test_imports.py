@@ -47,7 +47,7 @@ def test_onnxruntime_has_no_thread_that_reports():
 
 
 ORDER = "errors settings_file kernels types geometry presets features matching ranking verification estimators rank"
-ROOMS = f"{ORDER} two_view io draw collection commands cli".split()
+ROOMS = f"{ORDER} two_view explain io draw collection commands cli".split()
 
 
 def imported_modules(path):

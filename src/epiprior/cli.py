@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 from epiprior.commands.collections import colmap, hloc, sfm
 from epiprior.commands.inventory import estimators, info
 from epiprior.commands.options import BAD_INPUT
-from epiprior.commands.photographs import draw, estimate, match
+from epiprior.commands.photographs import draw, estimate, explain, match
 from epiprior.commands.printing import complain, drop_stdout, say
 from epiprior.errors import EpipriorError
 
@@ -74,7 +74,7 @@ def set_up(
     ctx.call_on_close(lambda: logger.removeHandler(handler))
 
 
-for command in (match, estimate, draw, sfm, colmap, hloc, info, estimators):
+for command in (match, estimate, draw, explain, sfm, colmap, hloc, info, estimators):
     app.command()(command)
 
 

@@ -1,4 +1,4 @@
-"""Commands on two photographs: `match`, `estimate` and `draw`."""
+"""Commands on two photographs: `match`, `estimate`, `draw` and `explain`."""
 
 import math
 import sys
@@ -15,6 +15,7 @@ from epiprior.commands.options import (
     Estimator,
     Image1,
     Image2,
+    Json,
     MaxFeatures,
     MaxImageSize,
     MinConfidence,
@@ -25,7 +26,17 @@ from epiprior.commands.options import (
     chosen_settings,
     exit_by_status,
 )
-from epiprior.commands.printing import complain, estimate_as_json, print_estimate, print_json, say, summary
+from epiprior.commands.printing import (
+    complain,
+    estimate_as_json,
+    explanation_as_json,
+    print_estimate,
+    print_explanation,
+    print_json,
+    say,
+    summary,
+)
+from epiprior.errors import SettingsError
 
 
 def match(
@@ -143,3 +154,46 @@ def draw(
     write_picture(out, draw_matches(image1, image2, shown, found, settings=DrawSettings(max_matches=matches)))
     say(f"{out}: {summary(found)}")
     exit_by_status(found)
+
+
+def explain(
+    image1: Image1,
+    image2: Image2,
+    *,
+    match: Annotated[int, typer.Option(min=0, help="Row of the match in what 'epiprior match' writes, from 0.")],
+    out: Annotated[Path | None, typer.Option(help="Figure to write: .png or .jpg.", show_default=False)] = None,
+    mode: Annotated[str, typer.Option(hidden=True)] = "preprocess",  # as of other commands, to say why not
+    preset: Preset = "default",
+    features: Detector = "sift",
+    max_image_size: MaxImageSize = None,
+    max_features: MaxFeatures = None,
+    as_json: Json = False,
+) -> None:
+    """Show why a match has its probability: its columns beside those of other matches, what holds it, its best F.
+
+    Options as for 'epiprior match', whose rows it counts.
+
+        epiprior explain left.jpg right.jpg --match 0 --out why.png
+    """
+    from epiprior.io.output import PICTURES, check_output
+
+    if mode != "preprocess":
+        raise SettingsError(f"mode is {mode!r}, but only ranked matches have a probability to explain: 'preprocess'")
+    if out:
+        check_output(out, PICTURES)
+    from epiprior.explain import explain_match
+
+    found = explain_match(
+        image1, image2, match, settings=chosen_settings(preset, features, max_image_size, max_features)
+    )
+    if out:
+        from epiprior.draw.explanation import draw_explanation
+        from epiprior.draw.pictures import write_picture
+
+        write_picture(out, draw_explanation(image1, image2, found))
+    if as_json:
+        print_json(explanation_as_json(found))
+    else:
+        print_explanation(found)
+        if out:
+            say(f"{out}: the picture")

@@ -7,11 +7,13 @@ import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 if TYPE_CHECKING:
+    from epiprior.explain import Explanation
     from epiprior.types import FundamentalEstimate
 
 
@@ -119,4 +121,50 @@ def estimate_as_json(found: FundamentalEstimate, preset: str, seed: int) -> dict
         "seed": seed,
         "seconds": {step: float(value) for step, value in found.seconds.items()},
         "message": found.message,
+    }
+
+
+def print_explanation(found: Explanation) -> None:
+    """Print for people why a match has its probability."""
+    from epiprior.explain import HEADER
+
+    ranked, row = found.ranked, found.row
+    (x1, y1), (x2, y2) = ranked.x1[row], ranked.x2[row]
+    at = f"({x1:.1f}, {y1:.1f}) to ({x2:.1f}, {y2:.1f})"
+    say(f"match {found.match}: {at}, probability {found.probability:.3g}; roll {ranked.roll_deg:.0f} deg")
+    for sentence in filter(None, found.sentences()):
+        say(sentence)
+    for name, *cells in (HEADER, *(column.cells() for column in found.rounds[-1].decisive())):
+        say(f"{name:<31}" + "".join(f"{cell:>11}" for cell in cells))
+
+
+def explanation_as_json(found: Explanation) -> dict[str, Any]:
+    """Return an explanation as JSON's types; matches are named by their numbers."""
+    ranked, row, best = found.ranked, found.row, found.best
+    first = found.match - row  # number of the first match of this roll hypothesis
+    held = zip(found.partners.tolist(), found.partner_probability.tolist(), found.partner_voted.tolist(), strict=True)
+    return {
+        "match": found.match,
+        "set": found.set,
+        "roll_deg": float(ranked.roll_deg),
+        "x1": ranked.x1[row].tolist(),
+        "x2": ranked.x2[row].tolist(),
+        "probability": found.probability,
+        "turned": found.turned,
+        "in_x": found.in_x,
+        "rounds": [asdict(judged) for judged in found.rounds],
+        "two_keypoints": [
+            {
+                "match": first + partner,
+                "x1": ranked.x1[partner].tolist(),
+                "x2": ranked.x2[partner].tolist(),
+                "probability": probability,
+                "voted": voted,
+            }
+            for partner, probability, voted in held
+        ],
+        "rough_matrices": len(ranked.rough_matrices),
+        "supporting_matrices": int(ranked.supporting_matrices[row]),
+        "self_made": found.self_made,
+        "best_matrix": best and {**asdict(best), "F": best.F.tolist(), "made_of": (first + best.made_of).tolist()},
     }

@@ -1,5 +1,7 @@
 """The words and the colour scale of a figure of `epiprior.draw.pictures`."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +35,31 @@ def draw_label(width: int, text: str) -> Picture:
     return strip
 
 
+def draw_title(width: int, title: str, detail: str, scale_name: str) -> Picture:
+    """Return a strip above a figure: a title and a line below it on the left, the colour scale on the right."""
+    strip, room, unit = _headed(width, scale_name)
+    _write(strip, title, (10 * unit, 28 * unit), 0.7 * unit, INK, room=room, bold=True)
+    _write(strip, detail, (10 * unit, 52 * unit), 0.5 * unit, _FAINT, room=room)
+    return strip
+
+
+def draw_table(width: int, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Picture:
+    """Return a strip with a table: the first column to the left, the others below the ends of their headings."""
+    unit = _unit(width)
+    strip = _strip((24 * (1 + len(rows)) + 14) * unit, width)
+    size, gap = 0.45 * unit, 10 * unit
+    step = (width - 2 * gap) / (len(header) + 1)  # the first column is twice as wide
+    for line, cells in enumerate([header, *rows]):
+        baseline, colour = (20 + 24 * line) * unit, INK if line else _FAINT
+        for k, text in enumerate(cells):
+            left = gap + (k + 2) * step - _width(text, size) if k else gap
+            _write(strip, text, (left, baseline), size, colour, room=(1 if k else 2) * step)
+    return strip
+
+
 def draw_header(width: int, estimate: FundamentalEstimate | None, matches: int, scale_name: str) -> Picture:
     """Return the strip above the figure: what was estimated on the left, the colour scale on the right."""
-    unit = _unit(width)
-    strip = _strip(64 * unit, width)
-    bar, margin = round(240 * unit), round(20 * unit)
-    room = width - bar - 2 * margin - 10 * unit
+    strip, room, unit = _headed(width, scale_name)
     top, bottom, left = 28 * unit, 52 * unit, 10 * unit
     if estimate is None:
         _write(strip, f"{matches} matches", (left, top), 0.7 * unit, INK, room=room, bold=True)
@@ -59,8 +80,16 @@ def draw_header(width: int, estimate: FundamentalEstimate | None, matches: int, 
         )
         detail = ",  ".join(part for part in details if part)
         _write(strip, detail, (left, bottom), 0.5 * unit, _FAINT, room=room)
-    _draw_scale(strip[:, width - bar - margin : width - margin], scale_name, unit)
     return strip
+
+
+def _headed(width: int, scale_name: str) -> tuple[Picture, float, float]:
+    """Return a strip with the colour scale on its right, the room left of that, and the unit of the lettering."""
+    unit = _unit(width)
+    strip = _strip(64 * unit, width)
+    bar, margin = round(240 * unit), round(20 * unit)
+    _draw_scale(strip[:, width - bar - margin : width - margin], scale_name, unit)
+    return strip, width - bar - 2 * margin - 10 * unit, unit
 
 
 def _unit(width: int) -> float:
