@@ -47,8 +47,11 @@ real: $(READY)  ## evaluate photographs: make real DATA=FOLDER links its pair se
 	@echo "Report   reports/real/index.html, reports/real/performance.md, reports/real/tables"
 	@echo "Gallery  data/photographs-gallery/index.html (shows the photographs: not to be passed on)"
 
-sfm: $(READY)  ## structure from motion on bags of photographs: make sfm DATA=FOLDER of pair sets; rows in data/sfm.csv
-	$(BIN)/python benchmarks/sfm.py $(DATA) --out data/sfm.csv
+sfm: $(READY)  ## map bags of photographs by every method, after `make real`: make sfm DATA=FOLDER links its pair sets
+	@$(BIN)/epiprior-lab link-sets $(DATA)
+	cd benchmarks/sfm && $(CURDIR)/$(BIN)/dvc repro --single-item
+	@echo
+	@echo "Report   reports/sfm/performance.md, reports/sfm/tables, reports/sfm/timings/times.md"
 
 peers: $(PEERS)  ## make the environment of the rankers and learned matchers against which photographs are measured (5.6 GB)
 

@@ -11,11 +11,14 @@ from pathlib import Path
 import pytest
 import yaml
 
+from epiprior_lab.bags.params import PATH as BAGS
+from epiprior_lab.bags.params import load_sfm_params
 from epiprior_lab.compute.source_graph import SOURCE, source_files
 from epiprior_lab.params import PHOTOGRAPHS, STUDY, load_params
 
 ROOT = Path(__file__).parents[1]
-PIPELINES = {"dvc.yaml": STUDY, "benchmarks/real/dvc.yaml": PHOTOGRAPHS}
+EVALUATIONS = {"dvc.yaml": STUDY, "benchmarks/real/dvc.yaml": PHOTOGRAPHS}
+PIPELINES = EVALUATIONS | {"benchmarks/sfm/dvc.yaml": BAGS}
 STAGES = [
     (pipeline, name, stage)
     for pipeline in PIPELINES
@@ -120,12 +123,13 @@ def test_a_stage_lists_the_sections_of_parameters_that_it_reads(pipeline, name, 
             read.add(node.attr)
         elif isinstance(node, ast.Call) and ast.unparse(node.func) == "make_protocol":
             read |= {"evaluate", "measures", "truth"}
-    assert sorted(read & load_params(ROOT / file).__dataclass_fields__.keys()) == sorted(listed), f"{pipeline}: {name}"
+    params = load_sfm_params(ROOT / file) if file == BAGS else load_params(ROOT / file)
+    assert sorted(read & params.__dataclass_fields__.keys()) == sorted(listed), f"{pipeline}: {name}"
 
 
 @functools.cache
 def resolved():
-    """Return DVC's own reading of both pipelines, matrices written out."""
+    """Return DVC's own reading of all pipelines, matrices written out."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from dvc.repo import Repo
@@ -135,7 +139,7 @@ def resolved():
 
 
 def test_every_group_is_evaluated_and_reported():
-    for pipeline, file in PIPELINES.items():
+    for pipeline, file in EVALUATIONS.items():
         stages = {stage.name: stage for stage in resolved() if stage.path_in_repo == pipeline}
         own = load_params(ROOT / file).evaluate
         folders = {str(ROOT / own.out / group) for group in own.groups}

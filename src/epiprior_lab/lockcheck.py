@@ -1,4 +1,4 @@
-"""Tell whether the locks of both pipelines belong to this code, these parameters and these committed results.
+"""Tell whether the locks of all pipelines belong to this code, these parameters and these committed results.
 
 ``dvc status`` needs the data, which a clean clone lacks. This check asks DVC for the hashes of what git holds (code,
 parameters, models, reports), and compares cached data by what the lock says of them: a stage must have read what the
@@ -15,7 +15,11 @@ import yaml
 from epiprior.errors import EpipriorError
 
 # Folder of each pipeline, from the root, and the command that runs it.
-PIPELINES = {"": "make repro", "benchmarks/real": "make real DATA=FOLDER"}
+PIPELINES = {
+    "": "make repro",
+    "benchmarks/real": "make real DATA=FOLDER",
+    "benchmarks/sfm": "make sfm DATA=FOLDER",
+}
 
 
 class LockError(EpipriorError):

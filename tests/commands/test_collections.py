@@ -2,8 +2,12 @@
 
 import contextlib
 import logging
+import os
 import shutil
 import sqlite3
+import subprocess
+import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -181,3 +185,38 @@ def test_without_a_model_the_report_says_why(images, tmp_path, monkeypatch):
     page = (tmp_path / "scene" / "report.html").read_text()
     assert page.count("no: no pair has a geometry") == 3
     assert "not written: degenerate" in page
+
+
+KILLS = int(os.environ.get("EPIPRIOR_KILLS", "3"))
+
+
+def all_rows(path):
+    """Return the contents of every table."""
+    with contextlib.closing(sqlite3.connect(path)) as opened:
+        names = [
+            name for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")
+        ]
+        return {name: opened.execute(f"SELECT * FROM {name} ORDER BY 1, 2").fetchall() for name in names}
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_and_started_again_it_writes_the_same(tmp_path):
+    """EPIPRIOR_KILLS sets how many moments are tried."""
+    folder, killed = views(tmp_path / "set"), 0
+    command = [sys.executable, "-m", "epiprior.cli", "--quiet", "colmap", str(folder), "--mode", "standard"]
+    start = time.monotonic()
+    subprocess.run([*command, "--database", str(tmp_path / "whole.db")], check=True)
+    seconds, whole = time.monotonic() - start, all_rows(tmp_path / "whole.db")
+    assert len(whole["two_view_geometries"]) > 5
+    for number, moment in enumerate(np.random.default_rng(KILLS).uniform(0.3, 1, KILLS) * seconds):
+        path = tmp_path / f"{number}.db"
+        with subprocess.Popen([*command, "--database", str(path)]) as running:
+            try:
+                running.wait(moment)
+            except subprocess.TimeoutExpired:
+                running.kill()
+                killed += 1
+        if not path.exists():  # it is there as a whole, or not at all
+            subprocess.run([*command, "--database", str(path)], check=True)
+        assert all_rows(path) == whole
+    assert killed

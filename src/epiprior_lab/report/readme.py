@@ -1,30 +1,34 @@
-"""The table of results in the README, made of the committed report on photographs.
+"""The tables of results in the README, made of the committed reports on photographs and on bags of them.
 
-It stands between ``<!-- results -->`` and ``<!-- /results -->``; everything else is left alone.
+They stand between ``<!-- results -->`` and ``<!-- /results -->``, ``<!-- sfm -->`` and ``<!-- /sfm -->``. Everything
+else is left alone, and so is the second where bags were not measured.
 """
 
 import re
 from pathlib import Path
 
 from epiprior.errors import EpipriorError
+from epiprior_lab.bags.params import PATH as BAGS
+from epiprior_lab.bags.params import load_sfm_params
 from epiprior_lab.params import PHOTOGRAPHS, load_params
+from epiprior_lab.report.bags import small_table
 from epiprior_lab.report.material import features_by_input, summary_table
-from epiprior_lab.report.page import table_lines
+from epiprior_lab.report.page import Table, table_lines
 from epiprior_lab.report.results import read_table
 from epiprior_lab.report.text import ALL
 
 TABLES = Path("reports/real/tables")
-_SECTION = re.compile(r"(<!-- results -->\n)(.*?)(<!-- /results -->)", re.DOTALL)
+BAG_TABLES = Path("reports/sfm/tables")
 _SUCCESSES = "threshold_px group estimator input pairs successes"
 _CASCADE = "threshold_px group estimator pairs cascade"
 
 
 class ReadmeError(EpipriorError):
-    """The README has not exactly one place for the table of results."""
+    """The README has not exactly one place for a table."""
 
 
 def update_readme(root: Path) -> bool:
-    """Write the table into ``README.md`` below the root of the repository; return whether the file changed.
+    """Write the tables into ``README.md`` below the root of the repository; return whether the file changed.
 
     A ReadmeError says that there is not exactly one place for it, a ReportError that the report lacks something.
     """
@@ -37,14 +41,24 @@ def update_readme(root: Path) -> bool:
 
 
 def render_readme(text: str, root: Path) -> str:
-    """Return a text with the table between the markers made anew; see `update_readme`."""
-    places = len(_SECTION.findall(text))
-    if places != 1:
-        raise ReadmeError(f"README: {places} sections from `<!-- results -->` to `<!-- /results -->`, expected 1")
+    """Return a text with the tables between the markers made anew; see `update_readme`."""
     report = load_params(root / PHOTOGRAPHS).report
     successes = read_table(root / TABLES / "successes.csv", _SUCCESSES)
     cascade = read_table(root / TABLES / "cascade.csv", _CASCADE)
     px = (report.success_px, report.strict_px)
     features = features_by_input(read_table(root / TABLES / "rankings.csv", "group"))
-    lines = table_lines(summary_table(successes, cascade, (ALL, *report.hard_groups), px, features))
-    return _SECTION.sub(lambda match: match[1] + "\n".join(lines) + "\n" + match[3], text)
+    text = _filled(text, "results", summary_table(successes, cascade, (ALL, *report.hard_groups), px, features))
+    if not (root / BAG_TABLES).is_dir():
+        return text
+    bags = [read_table(root / BAG_TABLES / f"{name}.csv", "intrinsics method") for name in ("summary", "intruders")]
+    methods = load_sfm_params(root / BAGS).methods
+    return _filled(text, "sfm", small_table(bags[0], bags[1], [*methods.names, *(methods.learned or ())]))
+
+
+def _filled(text: str, name: str, table: Table) -> str:
+    """Return a text with a table between the markers of a name."""
+    section = re.compile(f"(<!-- {name} -->\n)(.*?)(<!-- /{name} -->)", re.DOTALL)
+    places = len(section.findall(text))
+    if places != 1:
+        raise ReadmeError(f"README: {places} sections from `<!-- {name} -->` to `<!-- /{name} -->`, expected 1")
+    return section.sub(lambda match: match[1] + "\n".join(table_lines(table)) + "\n" + match[3], text)

@@ -1,0 +1,155 @@
+"""What fills a COLMAP database with the keypoints and verified pairs of a folder of photographs: one way per method.
+
+`colmap` is COLMAP as it comes: its SIFT, its matching of all pairs, its verification. `snn` are features of epiprior,
+mutual nearest neighbours below a ratio, COLMAP's verification. `cascade` and `preprocess` are epiprior, as ``epiprior
+colmap`` fills a database. Learned matchers bring keypoints and matches, which COLMAP verifies. One thread each.
+"""
+
+import itertools
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epiprior.collection.database import CameraSettings, infer_cameras, write_database
+from epiprior.collection.features import feature_key, make_features
+from epiprior.collection.images import find_images
+from epiprior.collection.match import MatchSettings, match_pair
+from epiprior.collection.run import MatchedCollection
+from epiprior.collection.store import PairStore
+from epiprior.io.colmap import add_camera, add_image, add_pair, quiet
+from epiprior.matching.baselines import snn_matches
+from epiprior.presets import Mode, find_preset
+from epiprior.types import FloatArray, IntArray
+from epiprior_lab.bags.choose import View
+from epiprior_lab.evaluation.learned import Columns
+
+MODES: Mapping[str, Mode] = {"cascade": "cascade", "preprocess": "preprocess"}
+_Rows = Mapping[tuple[str, str], IntArray]
+
+
+def processor_seconds() -> float:
+    """Return the seconds that this process has used, and its children that ended."""
+    return sum(os.times()[:4])
+
+
+def fill_database(
+    method: str, images: Path, database: Path, *, seed: int, min_confidence: float, learned: Sequence[Columns] | None
+) -> float:
+    """Fill a new database from the photographs of a folder; return the processor seconds that features took.
+
+    `learned` is what a learned matcher found for all pairs, in order; its features were found before.
+    """
+    with quiet():
+        if learned is not None:
+            _write_learned(images, database, learned, seed)
+            return 0.0
+        if method == "colmap":
+            return _by_colmap(images, database, seed)
+        return _by_epiprior(method, images, database, seed=seed, min_confidence=min_confidence)
+
+
+def know_cameras(database: Path, named: Mapping[str, View], *, verify: bool, seed: int) -> None:
+    """Put the true intrinsics into a database, and with `verify` let COLMAP verify all matches under these."""
+    import pycolmap
+
+    with pycolmap.Database.open(database) as opened:
+        for image in opened.read_all_images():
+            truth = named[image.name].camera
+            (fx, _, cx), (_, fy, cy) = truth.K[:2]
+            camera = pycolmap.Camera.create_from_model_name(image.camera_id, "PINHOLE", fx, truth.width, truth.height)
+            camera.params, camera.has_prior_focal_length = [fx, fy, cx + 0.5, cy + 0.5], True
+            opened.update_camera(camera)
+        if verify:
+            opened.clear_two_view_geometries()
+    if verify:
+        _verify(database, list(named), seed)
+
+
+def _by_colmap(images: Path, database: Path, seed: int) -> float:
+    import pycolmap
+
+    extraction, matching = pycolmap.FeatureExtractionOptions(), pycolmap.FeatureMatchingOptions()
+    verification, start = pycolmap.TwoViewGeometryOptions(), processor_seconds()
+    extraction.use_gpu = matching.use_gpu = False
+    extraction.num_threads = matching.num_threads = 1
+    verification.ransac.random_seed = seed
+    mode = pycolmap.CameraMode.PER_IMAGE
+    pycolmap.extract_features(database, images, camera_mode=mode, extraction_options=extraction)
+    used = processor_seconds() - start
+    pycolmap.match_exhaustive(database, matching_options=matching, verification_options=verification)
+    return used
+
+
+def _by_epiprior(method: str, images: Path, database: Path, *, seed: int, min_confidence: float) -> float:
+    """Do what `match_collection` does, in this process, so that processor time is that of the work."""
+    found, settings, start = find_images(images), find_preset("default"), processor_seconds()
+    how = MatchSettings(settings=settings, mode=MODES.get(method, "standard"), seed=seed)
+    work = database.with_suffix(".work")
+    (work / "features").mkdir(parents=True)
+    pairs = list(itertools.combinations(range(len(found.images)), 2))
+    keys = [feature_key(image, settings.features) for image in found.images]
+    store = PairStore(work / "pairs.db")
+    matched = MatchedCollection(
+        images=found, pairs=pairs if method in MODES else [], work=work, feature_keys=keys, how=how, store=store
+    )
+    for place, image in enumerate(found.images):
+        matched.file(place).write_bytes(make_features(image, settings.features))
+    used = processor_seconds() - start
+    for a, b in matched.pairs:
+        both = (found.images[a], found.images[b]), (matched.file(a), matched.file(b))
+        store.write(matched.key((a, b)), match_pair(*both, how))
+    write_database(database, matched, infer_cameras(found, CameraSettings()), min_confidence)
+    store.close()
+    if method not in MODES:
+        rows = {}
+        for a, b in pairs:
+            one = snn_matches(None, None, features1=matched.features(a), features2=matched.features(b)).one_to_one()
+            names = found.images[a].name, found.images[b].name
+            rows[names] = np.column_stack([one.feature1, one.feature2])
+        _add_matches(database, rows, seed)
+    return used
+
+
+def _write_learned(images: Path, database: Path, learned: Sequence[Columns], seed: int) -> None:
+    """Write the keypoints that some match uses, one row each in all pairs, and the matches."""
+    import pycolmap
+
+    found = find_images(images)
+    names = [image.name for image in found.images]
+    pairs = list(itertools.combinations(names, 2))
+    seen: dict[str, dict[int, FloatArray]] = {name: {} for name in names}
+    for pair, columns in zip(pairs, learned, strict=True):
+        for side, name in enumerate(pair, 1):
+            seen[name] |= dict(zip(columns[f"feature{side}"].tolist(), columns[f"x{side}"], strict=True))
+    places = {name: {number: row for row, number in enumerate(sorted(own))} for name, own in seen.items()}
+    with pycolmap.Database.open(database) as opened:
+        for name, (_, camera) in zip(names, infer_cameras(found, CameraSettings()), strict=True):
+            xy = np.array([seen[name][number] for number in places[name]]).reshape(-1, 2)
+            add_image(opened, name, add_camera(opened, camera), xy)
+    rows = {}
+    for pair, columns in zip(pairs, learned, strict=True):
+        sides = [[places[name][n] for n in columns[f"feature{s}"].tolist()] for s, name in enumerate(pair, 1)]
+        rows[pair] = np.array(sides, dtype=np.int64).T
+    _add_matches(database, rows, seed)
+
+
+def _add_matches(database: Path, rows: _Rows, seed: int) -> None:
+    import pycolmap
+
+    with pycolmap.Database.open(database) as opened:
+        ids: dict[str, Any] = {image.name: image.image_id for image in opened.read_all_images()}
+        for (a, b), matches in rows.items():
+            add_pair(opened, (ids[a], ids[b]), matches)
+    _verify(database, list(ids), seed)
+
+
+def _verify(database: Path, names: Sequence[str], seed: int) -> None:
+    import pycolmap
+
+    listed, options = database.with_suffix(".txt"), pycolmap.TwoViewGeometryOptions()
+    listed.write_text("".join(f"{a} {b}\n" for a, b in itertools.combinations(names, 2)), encoding="utf-8")
+    options.ransac.random_seed = seed
+    pycolmap.verify_matches(database, listed, options=options)

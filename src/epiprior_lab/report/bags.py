@@ -1,0 +1,216 @@
+"""The report on bags of photographs: tables, one figure, a page; the small table is that of the README too."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from epiprior_lab.bags.choose import PLAIN, STRANGER, TWINS
+from epiprior_lab.bags.measure import INTRINSICS, SECONDS
+from epiprior_lab.bags.params import BagReportParams
+from epiprior_lab.compute.seeds import child_seed
+from epiprior_lab.evaluation.compare import compare
+from epiprior_lab.report.page import Page, Section, Table
+from epiprior_lab.report.prose import picture, say
+from epiprior_lab.report.results import interval_columns
+from epiprior_lab.report.style import DOTS, INPUT_LOOKS, Look, label_grid, legend, save, styled
+from epiprior_lab.report.tables import write_table
+from epiprior_lab.report.text import ALL, DIFFICULTIES, LEARNED_TITLES, best_bold, interval, number, order_of, share
+
+TITLE = "Structure from motion on bags of photographs"
+METHOD_TITLES: Mapping[str, str] = {
+    "colmap": "COLMAP",
+    "snn": "snn",
+    **LEARNED_TITLES,
+    "cascade": "cascade",
+    "preprocess": "ours",
+}
+_LOOKS = {"colmap": "standard", "cascade": "fast", "preprocess": "default"}
+_MEASURES = {"right": "registered and right", "accuracy": "pose accuracy"}
+_Frame = pd.DataFrame
+
+
+def write_bag_report(records: _Frame, methods: Sequence[str], params: BagReportParams, out: Path) -> None:
+    """Write ``tables``, ``figures``, ``timings`` and ``performance.md``.
+
+    `records` have the columns of `bags.measure.BagRecord` and ``difficulty``; those of `methods` without any are shown
+    as not present.
+    """
+    summary, intruders = summary_table(records, params), intruder_table(records)
+    for name, table in {
+        "bags": records.drop(columns=list(SECONDS)),
+        "summary": summary,
+        "intruders": intruders,
+    }.items():
+        write_table(table, out / "tables" / f"{name}.csv")
+    bag_figure(summary, out / "figures" / "bags.png")
+    write_table(records[["bag", "method", "intrinsics", *SECONDS]], out / "timings" / "seconds.csv")
+    times = Section(title="Processor time", blocks=[say("sfm times"), _times(records, params)])
+    Page(title=f"{TITLE}: time", about=say("sfm time"), sections=[times]).write(
+        out / "timings", markdown="times.md", html=""
+    )
+    sizes = " and ".join(map(str, params.sizes))
+    sections = [
+        Section(
+            title="How well it works",
+            blocks=[say("sfm summary", sizes=sizes), small_table(summary, intruders, methods)],
+        ),
+        Section(title="By size and difficulty", blocks=[picture("bags", "figures/bags.png"), *_by_selection(summary)]),
+    ]
+    Page(title=TITLE, about=say("sfm"), sections=sections).write(out, html="")
+
+
+def summary_table(records: _Frame, params: BagReportParams) -> _Frame:
+    """Return every measure of every method on the plain bags of each selection, with intervals over scenes.
+
+    Selections are bags of one size; then, of the sizes of the totals, each difficulty, `ALL`, and each set. A method
+    has a row where it has all bags of the selection. Columns: ``selection, intrinsics, method, bags, scenes, images,
+    registered, wrong``, sums; ``right``, the share of photographs that are registered and not wrong, and ``accuracy``,
+    means over bags; both with ``_gain`` over `params.against` and intervals; ``tracks`` per bag, and their length.
+    """
+    plain = records[records["kind"] == PLAIN]
+    plain = plain.assign(right=(plain["registered"] - plain["wrong"]) / plain["images"])
+    rows = []
+    for name, chosen in _selections(plain, params.sizes):
+        for kind in INTRINSICS:
+            part = chosen[chosen["intrinsics"] == kind].set_index("bag")
+            bags = part.index.unique()
+            base = part[part["method"] == params.against].loc[bags]
+            for method in order_of(part["method"]):
+                own = part[part["method"] == method]
+                if len(own) < len(bags):
+                    continue
+                row: dict[str, Any] = {"selection": name, "intrinsics": kind, "method": method, "bags": len(bags)}
+                scenes = list(base["group"] + "/" + base["scene"])
+                row |= {"scenes": len(set(scenes))}
+                row |= {key: int(own[key].sum()) for key in ("images", "registered", "wrong")}
+                for key in _MEASURES:
+                    a, b = (one.loc[bags, key].to_numpy(np.float64) for one in (base, own))
+                    seed = child_seed(params.seed, name, kind)
+                    found = compare(a, b, scenes=scenes, draws=params.bootstrap_draws, seed=seed)
+                    row |= interval_columns(key, found.with_step)
+                    row |= interval_columns(f"{key}_gain", found.contribution)
+                if row["scenes"] < 2:
+                    row |= dict.fromkeys((column for column in row if column.endswith(("_low", "_high"))), np.nan)
+                tracks = own["tracks"].sum()
+                row["tracks"] = tracks / len(bags)
+                row["track_length"] = (own["tracks"] * own["track_length"]).sum() / tracks if tracks else np.nan
+                rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _selections(plain: _Frame, sizes: Sequence[int]) -> Iterator[tuple[str, _Frame]]:
+    for size in sorted(plain["size"].unique()):
+        yield f"bags of {size}", plain[plain["size"] == size]
+    total = plain[plain["size"].isin(sizes)]
+    for level in DIFFICULTIES:
+        yield level, total[total["difficulty"] == level]
+    yield ALL, total
+    for group in order_of(total["group"]):
+        yield group, total[total["group"] == group]
+
+
+def intruder_table(records: _Frame) -> _Frame:
+    """Return what is registered that should not be, by kind of bag, intrinsics and method.
+
+    ``bags``; ``others``, photographs of other places in them; ``strangers``, those that are registered; ``taken``, bags
+    that have one; of the home's ``images`` those ``registered`` and those of them ``wrong``.
+    """
+    table = records[records["kind"] != PLAIN]
+    table = table.assign(bags=1, taken=(table["strangers"] > 0).astype(int))
+    keys, sums = (
+        ["kind", "intrinsics", "method"],
+        ["bags", "others", "strangers", "taken", "images", "registered", "wrong"],
+    )
+    return table.groupby(keys, sort=False)[sums].sum().reset_index()
+
+
+def small_table(summary: _Frame, intruders: _Frame, methods: Sequence[str]) -> Table:
+    """Return the table of the README: known intrinsics, all and hard bags, and what should not be registered."""
+    known, strange = (table[table["intrinsics"] == INTRINSICS[0]].to_dict("records") for table in (summary, intruders))
+    found = {(row["selection"], row["method"]): row for row in known}
+    taken = {(row["kind"], row["method"]): row for row in strange}
+    order = sorted(methods, key=list(METHOD_TITLES).index)
+    there = [name for name in order if (ALL, name) in found]
+    levels = [level for level in (ALL, "hard") if all((level, name) in found for name in there)]
+    head, columns = ["matches"], []
+    for level in levels:
+        own = [found[level, name] for name in there]
+        head.append(f"right, {level} ({own[0]['images']})")
+        columns.append(best_bold([row["registered"] - row["wrong"] for row in own], 0))
+    head.append(f"wrong, {ALL}")
+    columns.append([str(found[ALL, name]["wrong"]) for name in there])
+    for level in levels:
+        head.append(f"accuracy, {level}")
+        columns.append(best_bold([found[level, name]["accuracy"] for name in there], 2))
+    for kind, title, column, of in (
+        (STRANGER, "strangers", "strangers", "others"),
+        (TWINS, "twins joined", "taken", "bags"),
+    ):
+        head.append(title)
+        own = [taken.get((kind, name), {}) for name in there]
+        columns.append([f"{row[column]} of {row[of]}" if row else "" for row in own])
+    cells = dict(zip(there, zip(*columns, strict=True), strict=True))
+    rows = []
+    for name in order:
+        why = "not on all bags" if name in set(summary["method"]) else "not present"
+        rows.append([METHOD_TITLES[name], *cells.get(name, (why, *[""] * (len(columns) - 1)))])
+    return Table(head=head, rows=rows)
+
+
+def bag_figure(summary: _Frame, path: Path) -> None:
+    """Draw both measures with intervals: a row per kind of intrinsics, a column per measure, a dot per method."""
+    shown = [name for name in order_of(summary["selection"]) if name in (*DIFFICULTIES, ALL) or " " in name]
+    methods = sorted(order_of(summary["method"]), key=list(METHOD_TITLES).index)
+    looks = {}
+    for name in methods:
+        look = INPUT_LOOKS[_LOOKS.get(name, name)]
+        looks[name] = Look(METHOD_TITLES[name], look.colour, "none", look.marker)
+    y = np.arange(len(shown), dtype=np.float64)[::-1]
+    with styled(2, 2, (8.4, 0.55 * len(shown) * 2 + 1.2), sharex=True, sharey=True) as (figure, axes):
+        for axis_row, kind in zip(axes, INTRINSICS, strict=True):
+            for axis, measure in zip(axis_row, _MEASURES, strict=True):
+                for k, (name, look) in enumerate(looks.items()):
+                    mine = summary[(summary["method"] == name) & (summary["intrinsics"] == kind)]
+                    own = mine.set_index("selection").reindex(shown)
+                    spans = [own[measure] - own[f"{measure}_low"], own[f"{measure}_high"] - own[measure]]
+                    height = y + 0.13 * ((len(looks) - 1) / 2 - k)
+                    style: Any = {"color": look.colour, "ms": 5, "lw": 1.0, **DOTS}
+                    axis.errorbar(own[measure], height, xerr=np.nan_to_num(spans), fmt=look.marker, **style)
+                axis.set_yticks(y, shown)
+                axis.set(xlim=(-0.02, 1.02), ylim=(-0.6, len(shown) - 0.4))
+        label_grid(axes, rows=[f"{kind} intrinsics" for kind in INTRINSICS], columns=list(_MEASURES.values()))
+        legend(figure, list(looks.values()), markers=True)
+        save(figure, path)
+
+
+def _by_selection(summary: _Frame) -> Iterator[Table]:
+    head = ["bags", "method", "registered", "wrong", "right", "gain", "accuracy", "gain", "tracks", "length"]
+    for kind in INTRINSICS:
+        rows: list[list[str]] = []
+        for name, part in summary[summary["intrinsics"] == kind].groupby("selection", sort=False):
+            first = part.iloc[0]
+            rows.append([f"{name}: {first['bags']} bags, {first['scenes']} scenes"])
+            for row in part.to_dict("records"):
+                counts = [f"{row['registered']} of {row['images']}", str(row["wrong"])]
+                right = [interval(row, "right", share), interval(row, "right_gain")]
+                accuracy = [interval(row, "accuracy", number), interval(row, "accuracy_gain")]
+                tracks = [number(row["tracks"], 0), number(row["track_length"])]
+                rows.append(["", METHOD_TITLES[row["method"]], *counts, *right, *accuracy, *tracks])
+        yield Table(head=head, rows=rows, texts=2, fold=f"{kind.capitalize()} intrinsics")
+
+
+def _times(records: _Frame, params: BagReportParams) -> Table:
+    plain = records[(records["kind"] == PLAIN) & records["size"].isin(params.sizes)]
+    pairs = plain["images"] * (plain["images"] - 1) / 2
+    each = plain.assign(features=plain["features_s"] / plain["images"], matching=plain["matching_s"] / pairs)
+    rows = []
+    for method in order_of(each["method"]):
+        own = each[each["method"] == method]
+        mapping = [own.loc[own["intrinsics"] == kind, "mapping_s"].median() for kind in INTRINSICS]
+        values = [own["features"].median(), own["matching"].median(), *mapping]
+        rows.append([METHOD_TITLES[method], *(number(value) for value in values)])
+    head = ["method", "features, s per photograph", "matching, s per pair"]
+    return Table(head=[*head, *(f"mapping, {kind}, s per bag" for kind in INTRINSICS)], rows=rows)
