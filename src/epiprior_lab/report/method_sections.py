@@ -11,8 +11,7 @@ from epiprior_lab.report.confidence import kind_rows, score_rows
 from epiprior_lab.report.figures import MIN_BAR
 from epiprior_lab.report.gallery import case_blocks
 from epiprior_lab.report.material import Material
-from epiprior_lab.report.page import Block, Table
-from epiprior_lab.report.prose import say
+from epiprior_lab.report.page import Block, Table, say
 from epiprior_lab.report.result_sections import named
 from epiprior_lab.report.text import ALL, group_title, input_title, number, share
 

@@ -10,8 +10,7 @@ from epiprior_lab.pairsets.changed import EVERY
 from epiprior_lab.report import text
 from epiprior_lab.report.cascade import rule_in_words
 from epiprior_lab.report.material import CASCADE, Material, features_by_input, summary_table
-from epiprior_lab.report.page import Block, Table
-from epiprior_lab.report.prose import say
+from epiprior_lab.report.page import Block, Table, say
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, ENOUGH_RIGHT, PRECISIONS
 from epiprior_lab.report.text import ALL, OURS, group_title, input_title, interval, number, order_of, share, signed
 

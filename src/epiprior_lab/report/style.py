@@ -67,32 +67,30 @@ Sharing = bool | Literal["row", "col"]
 
 @contextmanager
 def styled(
-    rows: int, columns: int, size: tuple[float, float], *, sharex: Sharing = False, sharey: Sharing = False
+    path: Path, rows: int, columns: int, size: tuple[float, float], *, sharex: Sharing = False, sharey: Sharing = False
 ) -> Iterator[tuple[Figure, list[list[Axes]]]]:
-    """Yield a figure of `rows` x `columns` axes in the common style, its size in inches; save it inside."""
+    """Yield a figure of `rows` x `columns` axes in the common style, its size in inches; then it is saved."""
     with mpl.rc_context(_RC):
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
         yield figure, [list(row) for row in axes]
+        save(figure, path)
 
 
-def save(figure: Figure, path: Path) -> Path:
+def save(figure: Figure, path: Path) -> None:
     """Write a PNG, or a JPEG for photographs, without metadata that would change from one installation to the next."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".jpg":
-        figure.savefig(path, pil_kwargs={"quality": 88})
-    else:
-        figure.savefig(path, metadata={"Software": None})
-    return path
+    how: Any = {"pil_kwargs": {"quality": 88}} if path.suffix == ".jpg" else {"metadata": {"Software": None}}
+    figure.savefig(path, **how)
 
 
 def legend(figure: Figure, looks: Sequence[Look], *, markers: bool = False, more: Sequence[Any] = ()) -> None:
     """Put one legend for all axes above them, with the markers of the series if these are drawn; `more` are handles."""
-    handles = []
-    for look in looks:
-        marker = look.marker if markers else ""
-        handles.append(Line2D([], [], color=look.colour, linestyle=look.line, marker=marker, ms=5, label=look.label))
+    handles = [
+        Line2D([], [], c=one.colour, ls=one.line, marker=one.marker if markers else "", ms=5, label=one.label)
+        for one in looks
+    ]
     handles += more
     rows = -(-len(handles) // 7)  # more do not fit side by side
     figure.legend(handles=handles, loc="outside upper center", ncols=-(-len(handles) // rows), handlelength=2.6)
