@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from epiprior_lab.analysis.records import Analysis
 from epiprior_lab.report import style
 from epiprior_lab.report.analysis_tables import errors_of
-from epiprior_lab.report.style import GRID, INK, SERIES, Look, legend, styled
-from epiprior_lab.report.text import order_of
+from epiprior_lab.report.style import GRID, INK, SERIES, legend, styled
+from epiprior_lab.report.text import Look, order_of
 
 STEP_LOOKS = {
     "standard": Look("standard input (X_L)", "#8b919b", ":", ""),

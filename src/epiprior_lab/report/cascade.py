@@ -11,8 +11,8 @@ from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
 from epiprior_lab.report.page import Page, Section, Table, picture, say
 from epiprior_lab.report.results import Results
-from epiprior_lab.report.style import MUTED, Look, axis_legend, label_grid, styled
-from epiprior_lab.report.text import order_of, share
+from epiprior_lab.report.style import MUTED, axis_legend, label_grid, styled
+from epiprior_lab.report.text import Look, order_of, share
 from epiprior_lab.selection import cascade_rule
 from epiprior_lab.selection.cascade_rule import NEVER, LearntRule, kept_runs
 

@@ -17,8 +17,8 @@ from epiprior.types import Geometry, Status
 from epiprior_lab.evaluation.kinds import COLMAP, TRUE
 from epiprior_lab.measures import calibration_bins
 from epiprior_lab.report.page import Table
-from epiprior_lab.report.style import MUTED, Look, axis_legend, styled
-from epiprior_lab.report.text import ALL, input_title, number, order_of, share
+from epiprior_lab.report.style import MUTED, axis_legend, styled
+from epiprior_lab.report.text import ALL, Look, input_title, number, order_of, share
 
 RIGHT, WRONG, WITHOUT_F, STRANGERS = "right", "wrong", "without F", "unrelated"
 FLAT = ("plane", "rotation", "copy")

@@ -16,9 +16,9 @@ from epiprior.types import FloatArray
 from epiprior_lab.evaluation.records import RANKS, right_column
 from epiprior_lab.report import style, text
 from epiprior_lab.report.results import Results
-from epiprior_lab.report.style import DOTS, GRID, INK, MUTED, SERIES, Look, label_grid, legend, looks_of, styled
+from epiprior_lab.report.style import DOTS, GRID, INK, MUTED, SERIES, label_grid, legend, looks_of, styled
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, calibration_sums
-from epiprior_lab.report.text import ALL, METRIC_TITLES, group_title, input_title, order_of, setting
+from epiprior_lab.report.text import ALL, METRIC_TITLES, Look, group_title, input_title, order_of, setting
 
 MIN_BAR = 30  # a share of fewer runs says little
 FEW_RUNS = 5
@@ -72,7 +72,7 @@ def curve_figure(results: Results, path: Path) -> None:
 
     Bars are one standard deviation over seeds, as in the paper's figure of results. Inputs of peers are left out.
     """
-    looks = {name: look for name, look in looks_of(results.inputs_of_all).items() if name not in text.PEER_TITLES}
+    looks = {name: look for name, look in looks_of(results.inputs_of_all).items() if name not in text.PEERS}
     groups = results.main[:-1] or results.main
     size = (2.55 * len(groups) + 0.4, 1.4 * len(results.estimators) + 0.9)
     with styled(path, len(results.estimators), len(groups), size, sharex=True, sharey="col") as (figure, axes):
@@ -119,7 +119,7 @@ def ranking_figure(results: Results, path: Path) -> None:
     table = results.tables.rankings
     ranked = [name for name in order_of(table["input"]) if table.loc[table["input"] == name, "ranking"].nunique() > 1]
     inputs = looks_of([name for name in results.inputs_of_all if (table["input"] == name).any()])
-    rankings = looks_of(order_of(table["ranking"]), style.RANKING_LOOKS)
+    rankings = looks_of(order_of(table["ranking"]), text.RANKINGS)
     kinds: list[tuple[str, dict[tuple[str, str], Look]]] = [
         ("inputs", {(name, "final"): look for name, look in inputs.items()}),
         *((input_title(n), {(n, r): look for r, look in rankings.items()}) for n in ranked),

@@ -188,8 +188,8 @@ def rankings(m: Material) -> Iterator[Block]:
     for group, part in m.groups_of("rankings"):
         rows.append([group_title(group, int(part["pairs"].max()))])
         for row in part.to_dict("records"):
-            ranking = text.RANKING_TITLES.get(row["ranking"], row["ranking"])
-            title = input_title(row["input"]) + ("" if row["ranking"] == "final" else f", {ranking}")
+            title = input_title(row["input"])
+            title += "" if row["ranking"] == "final" else f", {text.RANKINGS[row['ranking']].label}"
             cells = [f"{number(row[c])} / {number(row[f'scene_{c}'])}" for c in PRECISIONS]
             cells += [f"{row[name]:.0f}" for name in ("features", "matches", "right")] + [share(row["enough"])]
             rows.append([title, *cells, interval(row, "gain", lambda value: signed(value, 2))])
