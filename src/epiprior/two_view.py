@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import get_args
+from typing import Any, get_args
 
 from epiprior.errors import ImageError, SettingsError
 from epiprior.estimators import find_estimator
@@ -85,6 +85,7 @@ def estimate_fundamental(
         raise SettingsError("hand_over is for one input, but mode 'cascade' has two")
     chosen = settings or find_preset(preset)
     found = (features1, features2)
+    given: dict[str, Any] = {"features1": features1, "features2": features2}
 
     def estimate(kind: str, sets: Sequence[MatchSet], seconds: Mapping[str, float]) -> FundamentalEstimate:
         how = hand_over or load_hand_overs()[estimator][chosen.model if kind == chosen.name else kind]
@@ -110,16 +111,12 @@ def estimate_fundamental(
         if estimator == "generalized-ransac":
             kind = "generalized"
             with watch.step("generalized matches"):
-                matches = generalized_matches(
-                    image1, image2, features=as_paper, features1=features1, features2=features2
-                )
+                matches = generalized_matches(image1, image2, features=as_paper, **given)
         elif ranked is not None:
             matches = ranked.standard
         else:
             baseline = replace(PAPER, features=as_paper)
-            prepared = prepare_pair(
-                image1, image2, baseline, features1=features1, features2=features2, watch=watch, ordered=True
-            )
+            prepared = prepare_pair(image1, image2, baseline, **given, watch=watch, ordered=True)
             first_found, second_found = prepared.features
             found = (second_found, first_found) if prepared.turned else (first_found, second_found)
             matches = standard_set(prepared, baseline)

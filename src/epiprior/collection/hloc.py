@@ -7,6 +7,7 @@ import numpy as np
 from epiprior.collection.images import ImageSet, known_images
 from epiprior.collection.run import MatchedCollection
 from epiprior.errors import FeatureError, OutputError
+from epiprior.io.features import hloc_names
 from epiprior.io.output import check_output, replacing
 
 _MOST_SHORT = np.iinfo(np.int16).max
@@ -31,13 +32,11 @@ def read_hloc_images(features: Path, folder: Path | None) -> ImageSet:
     """
     import h5py
 
-    names: list[str] = []
     try:
         with h5py.File(features, "r") as file:
-            file.visit(names.append)
+            called = hloc_names(file)
     except OSError as error:
         raise FeatureError(f"{features}: not an h5 file that can be read: {error}") from error
-    called = sorted(name.rpartition("/")[0] for name in names if name.endswith("/keypoints"))
     if len(called) < 2:
         raise FeatureError(f"{features}: holds features of {len(called)} images, at least two are needed")
     pairs = [name.replace("/", "-") for name in called]

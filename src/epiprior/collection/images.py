@@ -6,7 +6,7 @@ COLMAP does not turn an image by its EXIF orientation; nor is it turned here, so
 import hashlib
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +15,11 @@ import numpy as np
 
 from epiprior.errors import ImageError
 from epiprior.features.images import is_hidden_copy, read_image
+from epiprior.io.colmap import colmap_name, is_turned
 from epiprior.types import BoolArray
 
 _logger = logging.getLogger(__name__)
 _SUFFIXES = frozenset([".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm", ".pnm", ".jp2"])
-_EXIF = (b"Exif", b"eXIf", b"EXIF")  # what introduces an orientation in JPEG, PNG and WebP
-_TIFF = (b"II", b"MM")
 _MOST_NAMED = 5
 
 
@@ -129,8 +128,9 @@ def _files(places: Sequence[Path], known: Sequence[str]) -> tuple[Path, list[Pat
             raise ImageError(f"{', '.join(map(str, places))}: one folder is needed, the one that names are relative to")
         return root, [root / name for name in known], []
     found = [place for place in places if place not in folders]
-    for folder in folders:
-        found += _below(folder, lambda path: path.suffix.lower() in _SUFFIXES)
+    for place, below, names in (step for folder in folders for step in os.walk(folder, followlinks=True)):
+        below[:] = sorted(name for name in below if not name.startswith("."))
+        found += [path for name in sorted(names) if (path := Path(place) / name).suffix.lower() in _SUFFIXES]
     hidden = [path for path in found if is_hidden_copy(path.name)]
     found = [path for path in found if not is_hidden_copy(path.name)]
     if len(set(found)) < len(found):
@@ -139,25 +139,10 @@ def _files(places: Sequence[Path], known: Sequence[str]) -> tuple[Path, list[Pat
     return root, sorted(found, key=lambda path: path.relative_to(root).as_posix()), left_out
 
 
-def _below(folder: Path, wanted: Callable[[Path], bool]) -> Iterator[Path]:
-    for place, folders, names in os.walk(folder, followlinks=True):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        yield from (path for name in sorted(names) if wanted(path := Path(place) / name))
-
-
 def _checked(root: Path, path: Path, masks: Path | None) -> tuple[CollectionImage, bool]:
     """Return a photograph, and whether its EXIF orientation would turn it; ImageError if it cannot be used."""
-    name = path.relative_to(root).as_posix()
-    try:
-        name.encode()
-    except UnicodeEncodeError as error:
-        raise ImageError(f"{path}: its name is not UTF-8, a COLMAP database cannot hold it: rename it") from error
-    # An eighth of the size suffices: what is turned has other sides or other pixels.
-    stored = read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
-    content = path.read_bytes()
-    tagged = content[:2] in _TIFF or any(tag in content for tag in _EXIF)
-    turned = tagged and not np.array_equal(stored, read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8))
-    digest, mask = hashlib.sha256(content), None
+    name, turned = colmap_name(path, root), is_turned(path)
+    digest, mask = hashlib.sha256(path.read_bytes()), None
     if masks is not None:
         choices = (masks / f"{name}.png", (masks / name).with_suffix(".png"))
         mask = next((choice for choice in choices if choice.is_file()), None)

@@ -51,17 +51,7 @@ def match_pair(
     stored = _read(files[0]), _read(files[1])
     view1, view2 = (one.view(image, how.settings.features) for one, image in zip(stored, images, strict=True))
     first, second = (one.features for one in stored)
-    found = estimate_fundamental(
-        view1,
-        view2,
-        features1=first,
-        features2=second,
-        estimator=how.estimator,
-        mode=how.mode,
-        settings=how.settings,
-        seed=how.seed,
-        threshold_px=how.threshold_px,
-    )
+    found = estimate_fundamental(view1, view2, features1=first, features2=second, **vars(how))
     geometry = configuration_of(found)
     inliers = np.flatnonzero(found.inliers) if geometry else np.empty(0, np.int64)
     rows = np.column_stack([_rows_of(first, found.x1[inliers]), _rows_of(second, found.x2[inliers])])

@@ -1,6 +1,6 @@
 """Which pairs of a collection are matched: all, neighbours in a sequence, those of a list, those that look alike."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
 
@@ -68,9 +68,8 @@ def _listed(path: Path, places: dict[str, int]) -> list[Pair]:
         cuts = {(line[:k].strip(), line[k:].strip()) for k, letter in enumerate(line) if letter.isspace()}
         found = [cut for cut in cuts if all(part in places for part in cut)]
         if len(found) != 1:
-            raise SettingsError(
-                f"{path}: line {number}: {line.strip()!r} is not two names of images of this collection"
-            )
+            what = f"{line.strip()!r} is not two names of images of this collection"
+            raise SettingsError(f"{path}: line {number}: {what}")
         a, b = (places[part] for part in found[0])
         if a == b:
             raise SettingsError(f"{path}: line {number}: {found[0][0]!r} is paired with itself")
@@ -108,14 +107,9 @@ def similar_pairs(count: int, descriptors: Callable[[int], Float32Array], most: 
     for index in range(count):
         alike = vectors @ vectors[index]
         alike[index] = -np.inf
-        pairs.update(
-            _ordered(index, other) for other in np.argsort(-alike, kind="stable")[: min(most, count - 1)].tolist()
-        )
+        nearest = np.argsort(-alike, kind="stable")[: min(most, count - 1)].tolist()
+        pairs.update((min(index, other), max(index, other)) for other in nearest)
     return sorted(pairs)
-
-
-def _ordered(a: int, b: int) -> Pair:
-    return (a, b) if a < b else (b, a)
 
 
 def _learn_words(sample: Float32Array, rng: np.random.Generator) -> Float32Array:
@@ -131,6 +125,6 @@ def _learn_words(sample: Float32Array, rng: np.random.Generator) -> Float32Array
 
 
 def _nearest(descriptors: Float32Array, words: Float32Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    blocks: Iterable[int] = range(0, len(descriptors), _BLOCK)
-    parts = [(descriptors[first : first + _BLOCK] @ words.T).argmax(axis=1) for first in blocks]
+    blocks = (descriptors[first : first + _BLOCK] for first in range(0, len(descriptors), _BLOCK))
+    parts = [(block @ words.T).argmax(axis=1) for block in blocks]
     return np.concatenate([np.empty(0, np.int64), *parts])

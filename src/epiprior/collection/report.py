@@ -57,9 +57,8 @@ def write_report(path: Path, matched: MatchedCollection, models: Sequence[Model]
         at = place[pair.image1], place[pair.image2]
         kept = bool(pair.geometry) and pair.confidence >= least
         confidence[at], inliers[at] = pair.confidence, len(pair.matches) if kept else 0
-        outcomes[
-            pair.geometry if kept else f"not written: {pair.status if not pair.geometry else 'low confidence'}"
-        ] += 1
+        why = "low confidence" if pair.geometry else pair.status
+        outcomes[pair.geometry if kept else f"not written: {why}"] += 1
     registered = {name: (number, seen) for number, model in enumerate(models) for name, seen in model.seen.items()}
     summary = f"{len(registered)} of {len(names)} images are registered, in {len(models)} models. "
     summary += f"{int((inliers > 0).sum())} of {len(matched)} pairs have a geometry."
@@ -86,12 +85,8 @@ def _image_rows(
     for index, image in enumerate(matched.images.images):
         count = int((both[index] > 0).sum())
         number, seen = registered.get(image.name, (None, 0))
-        why = (
-            "no: no pair has a geometry"
-            if not count
-            else f"no: the mapper did not place it, best pair {both[index].max():.0f}"
-        )
-        model = why if number is None else str(number)
+        why = f"the mapper did not place it, best pair {both[index].max():.0f}" if count else "no pair has a geometry"
+        model = f"no: {why}" if number is None else str(number)
         yield image.name, str(len(matched.features(index))), str(count), model, str(seen) if seen else ""
 
 
@@ -156,9 +151,8 @@ def _drawn(model: Model, across: FloatArray, upward: FloatArray) -> Picture:
 
 def _tracks(number: int, model: Model) -> str:
     rows = ((f"{length} images", str(count)) for length, count in sorted(model.tracks.items()))
-    return (
-        f"<p>Model {number}: how many points are seen by how many images.</p>{_table(('seen by', 'points'), rows, 1)}"
-    )
+    table = _table(("seen by", "points"), rows, 1)
+    return f"<p>Model {number}: how many points are seen by how many images.</p>{table}"
 
 
 def _inline(picture: Picture) -> str:

@@ -1,6 +1,7 @@
 """A collection from images to matched pairs: features once, then every pair, on workers; what is ready is kept."""
 
 import contextlib
+import itertools
 import os
 import shutil
 import tempfile
@@ -126,17 +127,26 @@ def match_collection(
         stack.callback(_let_go, store, scratch)
         with open_pool(workers, scheduler) as pool:
             keys = _find_features(pool, found.images, folder, chosen, given, on_progress)
-            if planned is None:
-                planned = choose_pairs(wanted, names, lambda place: _unit_descriptors(folder, keys[place], chosen))
+
+            def descriptors(place: int) -> Float32Array:
+                own = read_features(_feature_file(folder, keys[place])).features.descriptors
+                return normalise_descriptors(own, root=chosen.features.root, centred=chosen.features.centred)
+
+            planned = choose_pairs(wanted, names, descriptors) if planned is None else planned
             assert planned is not None
             planned = [(a, b) for a, b in planned if (names[a], names[b]) not in without]
-            matched = MatchedCollection(
-                images=found, pairs=planned, work=folder, feature_keys=keys, how=how, store=store
-            )
+            kept: dict[str, Any] = {"feature_keys": keys, "how": how, "store": store}
+            matched = MatchedCollection(images=found, pairs=planned, work=folder, **kept)
             _match_pairs(pool, matched, on_pair, on_progress)
         stack.pop_all()
     weakref.finalize(matched, _let_go, store, scratch)
     return matched
+
+
+def _counting(on_progress: OnProgress | None, stage: str, total: int) -> Callable[[], None]:
+    """Return what is called for every one that is ready."""
+    numbers = itertools.count(1)
+    return lambda: on_progress(stage, next(numbers), total) if on_progress else None
 
 
 def _let_go(store: PairStore, scratch: str | None) -> None:
@@ -155,13 +165,7 @@ def _find_features(
 ) -> list[str]:
     """Make the files of features that are not there yet; return the keys of all."""
     keys = [""] * len(images)
-    done = 0
-
-    def ready() -> None:
-        nonlocal done
-        done += 1
-        if on_progress:
-            on_progress("features", done, len(images))
+    ready = _counting(on_progress, "features", len(images))
 
     def jobs() -> Iterator[tuple[int, tuple[Any, ...]]]:
         for place, image in enumerate(images):
@@ -183,24 +187,16 @@ def _feature_file(work: Path, key: str) -> Path:
     return work / "features" / f"{key[:40]}.npz"
 
 
-def _unit_descriptors(work: Path, key: str, settings: PreprocessSettings) -> Float32Array:
-    own = read_features(_feature_file(work, key)).features.descriptors
-    return normalise_descriptors(own, root=settings.features.root, centred=settings.features.centred)
-
-
 def _match_pairs(
     pool: Pool, matched: MatchedCollection, on_pair: OnPair | None, on_progress: OnProgress | None
 ) -> None:
     images, store = matched.images.images, matched.store
-    done = 0
+    count = _counting(on_progress, "pairs", len(matched))
 
     def ready(pair: MatchedPair) -> None:
-        nonlocal done
-        done += 1
         if on_pair:
             on_pair(pair)
-        if on_progress:
-            on_progress("pairs", done, len(matched))
+        count()
 
     def jobs() -> Iterator[tuple[bytes, tuple[Any, ...]]]:
         for pair in matched.pairs:

@@ -60,16 +60,8 @@ class PairStore:
     def write(self, key: bytes, pair: MatchedPair) -> None:
         """Keep a pair."""
         arrays = [None if M is None else M.tobytes() for M in (pair.F, pair.H)]
-        row: tuple[object, ...] = (
-            key,
-            pair.image1,
-            pair.image2,
-            pair.status,
-            pair.message,
-            pair.geometry,
-            pair.confidence,
-        )
-        row += (*arrays, pair.matches.astype(np.uint32).tobytes(), pair.input, pair.seconds)
+        known = [getattr(pair, name) for name in _COLUMNS.split(", ")[1:7]]
+        row = (key, *known, *arrays, pair.matches.astype(np.uint32).tobytes(), pair.input, pair.seconds)
         with self._told():
             self._opened.execute(f"INSERT OR REPLACE INTO pairs VALUES ({', '.join('?' * len(row))})", row)
 

@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from epiprior.commands.options import (
-    NO_GEOMETRY,
-    Detector,
-    Estimator,
-    MaxFeatures,
-    MaxImageSize,
-    Mode,
-    Preset,
-    Seed,
-    Threshold,
-    chosen_settings,
-)
+from epiprior.commands import options
 from epiprior.commands.printing import complain, say
 from epiprior.errors import OutputError
 
@@ -50,7 +39,7 @@ def sfm(
     *,
     out: Annotated[Path, typer.Option(help="Folder for the model and all that leads to it.")],
     pairs: Pairs = None,
-    mode: Mode = "cascade",
+    mode: options.Mode = "cascade",
     workers: Workers = None,
     scheduler: Scheduler = None,
     min_confidence: MinConfidence = 0.5,
@@ -58,13 +47,13 @@ def sfm(
     camera_model: CameraModel = "SIMPLE_RADIAL",
     camera_params: CameraParams = "",
     mask_path: MaskPath = None,
-    estimator: Estimator = "epiprior",
-    seed: Seed = 0,
-    threshold: Threshold = None,
-    preset: Preset = "default",
-    features: Detector = "sift",
-    max_image_size: MaxImageSize = None,
-    max_features: MaxFeatures = None,
+    estimator: options.Estimator = "epiprior",
+    seed: options.Seed = 0,
+    threshold: options.Threshold = None,
+    preset: options.Preset = "default",
+    features: options.Detector = "sift",
+    max_image_size: options.MaxImageSize = None,
+    max_features: options.MaxFeatures = None,
 ) -> None:
     """Make a model of a folder of photographs: features, pairs, geometries, COLMAP's mapper, a report.
 
@@ -78,7 +67,7 @@ def sfm(
     from epiprior.collection.report import write_report
     from epiprior.io.colmap import find_pycolmap
 
-    settings = chosen_settings(preset, features, max_image_size, max_features)
+    settings = options.chosen_settings(preset, features, max_image_size, max_features)
     database, work = out / "database.db", out / "work"
     find_pycolmap(database)
     if out.exists() and not work.is_dir() and any(out.iterdir()):
@@ -101,7 +90,7 @@ def sfm(
     say(f"{out / 'report.html'}: open it in a browser; {work} can be deleted")
     if not models:
         complain("no model: no two images with enough matches and enough between them; the report says what was found")
-        raise typer.Exit(NO_GEOMETRY)
+        raise typer.Exit(options.NO_GEOMETRY)
     say(f"see it: colmap gui --import_path {models[0].folder} --database_path {database} --image_path {found.root}")
 
 
@@ -110,7 +99,7 @@ def colmap(
     *,
     database: Annotated[Path, typer.Option(help="A new one, or one with features, to which matches are added.")],
     pairs: Pairs = None,
-    mode: Mode = "cascade",
+    mode: options.Mode = "cascade",
     workers: Workers = None,
     scheduler: Scheduler = None,
     min_confidence: MinConfidence = 0.5,
@@ -120,13 +109,13 @@ def colmap(
     mask_path: MaskPath = None,
     roots: Roots = 1,
     work: Work = None,
-    estimator: Estimator = "epiprior",
-    seed: Seed = 0,
-    threshold: Threshold = None,
-    preset: Preset = "default",
-    features: Detector = "sift",
-    max_image_size: MaxImageSize = None,
-    max_features: MaxFeatures = None,
+    estimator: options.Estimator = "epiprior",
+    seed: options.Seed = 0,
+    threshold: options.Threshold = None,
+    preset: options.Preset = "default",
+    features: options.Detector = "sift",
+    max_image_size: options.MaxImageSize = None,
+    max_features: options.MaxFeatures = None,
 ) -> None:
     """Write a COLMAP database with verified matches, or add them to one that COLMAP has filled with features.
 
@@ -140,8 +129,8 @@ def colmap(
     from epiprior.collection.images import find_images
     from epiprior.io.colmap import check_colmap_output
 
-    settings = chosen_settings(preset, features, max_image_size, max_features)
-    options: dict[str, Any] = {
+    settings = options.chosen_settings(preset, features, max_image_size, max_features)
+    asked: dict[str, Any] = {
         "pairs": pairs, "mode": mode, "workers": workers, "scheduler": scheduler, "estimator": estimator, "seed": seed,
         "threshold_px": threshold, "settings": settings, "work": work or Path(f"{database}.work"),
     }  # fmt: skip
@@ -151,7 +140,7 @@ def colmap(
         if mask_path is not None:
             raise typer.BadParameter(f"{database} has features already: --mask-path comes too late")
         filled = colmap_database.read_filled(database, images[0] if images else None, roots=roots)
-        matched = _match(filled.images, given=filled.features, without=filled.verified, **options)
+        matched = _match(filled.images, given=filled.features, without=filled.verified, **asked)
         count = colmap_database.extend_database(database, matched, min_confidence)
     else:
         if not images:
@@ -160,7 +149,7 @@ def colmap(
         found = find_images(images, mask_path=mask_path)
         how = colmap_database.CameraSettings(mode=camera_mode, model=camera_model, params=camera_params)
         cameras = colmap_database.infer_cameras(found, how)
-        matched = _match(found, **options)
+        matched = _match(found, **asked)
         count = colmap_database.write_database(database, matched, cameras, min_confidence)
     say(f"{database}: {count} of {len(matched)} pairs have a geometry; {matched.work} can be deleted")
     _exit_without(count, matched)
@@ -173,17 +162,17 @@ def hloc(
     features: Annotated[Path, typer.Option(help="hloc's file of features, with scales and orientations.")],
     matches: Annotated[Path, typer.Option(help="File of matches to write; must not exist.")],
     pairs: Pairs = None,
-    mode: Mode = "cascade",
+    mode: options.Mode = "cascade",
     workers: Workers = None,
     scheduler: Scheduler = None,
     min_confidence: MinConfidence = 0.5,
     roots: Roots = 2,
     work: Work = None,
-    estimator: Estimator = "epiprior",
-    seed: Seed = 0,
-    threshold: Threshold = None,
-    preset: Preset = "default",
-    max_image_size: MaxImageSize = None,
+    estimator: options.Estimator = "epiprior",
+    seed: options.Seed = 0,
+    threshold: options.Threshold = None,
+    preset: options.Preset = "default",
+    max_image_size: options.MaxImageSize = None,
 ) -> None:
     """Match the features of an h5 file of hloc; write a file of matches as hloc's `match_features` does.
 
@@ -195,7 +184,7 @@ def hloc(
     from epiprior.collection.hloc import check_hloc_output, read_hloc_images, write_hloc_matches
     from epiprior.io.features import read_hloc_features
 
-    settings = chosen_settings(preset, "sift", max_image_size, None)
+    settings = options.chosen_settings(preset, "sift", max_image_size, None)
     check_hloc_output(matches)
     if images is not None and len(images) != 1:
         raise typer.BadParameter("give the one folder that the names of the features are relative to, or none")
@@ -210,11 +199,11 @@ def hloc(
     _exit_without(count, matched)
 
 
-def _match(images: Any, **options: Any) -> "MatchedCollection":
+def _match(images: Any, **asked: Any) -> "MatchedCollection":
     from epiprior.collection.run import match_collection
 
     with _progress() as on_progress:
-        return match_collection(images, on_progress=on_progress, **options)
+        return match_collection(images, on_progress=on_progress, **asked)
 
 
 def _exit_without(count: int, matched: "MatchedCollection") -> None:
@@ -222,7 +211,7 @@ def _exit_without(count: int, matched: "MatchedCollection") -> None:
     if len(matched) and not count:
         pair = next(iter(matched))
         complain(f"no geometry: {pair.image1}, {pair.image2}: {pair.status}: {pair.message}")
-        raise typer.Exit(NO_GEOMETRY)
+        raise typer.Exit(options.NO_GEOMETRY)
 
 
 @contextlib.contextmanager

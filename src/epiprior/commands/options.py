@@ -25,7 +25,7 @@ Mode = Annotated[
     presets.Mode,
     typer.Option(
         help="'preprocess': matches are ranked by probability first. 'standard': the paper's standard matches. "
-        "'cascade': standard matches first; ranked ones only if inliers cover little or F is implausible."
+        "'cascade': standard matches first; ranked ones only if that confidence is low."
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Of the random draw; same seed, same result.")]

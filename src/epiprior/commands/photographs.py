@@ -9,23 +9,7 @@ from typing import Annotated
 
 import typer
 
-from epiprior.commands.options import (
-    NO_GEOMETRY,
-    Detector,
-    Estimator,
-    Image1,
-    Image2,
-    Json,
-    MaxFeatures,
-    MaxImageSize,
-    MinConfidence,
-    Mode,
-    Preset,
-    Seed,
-    Threshold,
-    chosen_settings,
-    exit_by_status,
-)
+from epiprior.commands import options
 from epiprior.commands.printing import (
     complain,
     estimate_as_json,
@@ -40,14 +24,14 @@ from epiprior.errors import SettingsError
 
 
 def match(
-    image1: Image1,
-    image2: Image2,
+    image1: options.Image1,
+    image2: options.Image2,
     *,
     out: Annotated[Path, typer.Option(help="Table to write: .csv or .npz.", show_default=False)],
-    preset: Preset = "default",
-    features: Detector = "sift",
-    max_image_size: MaxImageSize = None,
-    max_features: MaxFeatures = None,
+    preset: options.Preset = "default",
+    features: options.Detector = "sift",
+    max_image_size: options.MaxImageSize = None,
+    max_features: options.MaxFeatures = None,
 ) -> None:
     """Write the matches of two photographs with their probabilities, best first.
 
@@ -61,7 +45,7 @@ def match(
     check_output(out, TABLES)
     from epiprior import rank_matches
 
-    settings = chosen_settings(preset, features, max_image_size, max_features)
+    settings = options.chosen_settings(preset, features, max_image_size, max_features)
     ranked = rank_matches(image1, image2, settings=settings)
     write_matches(out, ranked)
     counts = ", ".join(f"{len(s)} at a roll of {s.roll_deg:.0f} deg" for s in ranked.sets)
@@ -70,23 +54,23 @@ def match(
 
         why = explain_shortage((image1, image2), (None, None), settings.features)
         complain(f"no matches: {why or 'no feature resembles one of the other image'}")
-        raise typer.Exit(NO_GEOMETRY)
+        raise typer.Exit(options.NO_GEOMETRY)
     say(f"{out}: {counts}")
 
 
 def estimate(
-    image1: Image1,
-    image2: Image2,
+    image1: options.Image1,
+    image2: options.Image2,
     *,
-    estimator: Estimator = "epiprior",
-    mode: Mode = "preprocess",
-    seed: Seed = 0,
-    threshold: Threshold = None,
-    min_confidence: MinConfidence = None,
-    preset: Preset = "default",
-    features: Detector = "sift",
-    max_image_size: MaxImageSize = None,
-    max_features: MaxFeatures = None,
+    estimator: options.Estimator = "epiprior",
+    mode: options.Mode = "preprocess",
+    seed: options.Seed = 0,
+    threshold: options.Threshold = None,
+    min_confidence: options.MinConfidence = None,
+    preset: options.Preset = "default",
+    features: options.Detector = "sift",
+    max_image_size: options.MaxImageSize = None,
+    max_features: options.MaxFeatures = None,
     as_json: Annotated[
         bool | None,
         typer.Option("--json/--text", help="Default: text on a terminal, JSON elsewhere.", show_default=False),
@@ -100,37 +84,29 @@ def estimate(
     """
     from epiprior import estimate_fundamental
 
-    settings = chosen_settings(preset, features, max_image_size, max_features)
-    found = estimate_fundamental(
-        image1,
-        image2,
-        estimator=estimator,
-        mode=mode,
-        settings=settings,
-        seed=seed,
-        threshold_px=threshold,
-        min_confidence=min_confidence,
-    )
+    settings = options.chosen_settings(preset, features, max_image_size, max_features)
+    estimation = partial(estimate_fundamental, estimator=estimator, mode=mode, seed=seed, threshold_px=threshold)
+    found = estimation(image1, image2, settings=settings, min_confidence=min_confidence)
     if sys.stdout.isatty() if as_json is None else not as_json:
         print_estimate(found)
     else:
         print_json(estimate_as_json(found, preset, seed))
-    exit_by_status(found)
+    options.exit_by_status(found)
 
 
 def draw(
-    image1: Image1,
-    image2: Image2,
+    image1: options.Image1,
+    image2: options.Image2,
     *,
     out: Annotated[Path, typer.Option(help="Figure to write: .png or .jpg.", show_default=False)],
-    estimator: Estimator = "epiprior",
-    mode: Mode = "preprocess",
-    seed: Seed = 0,
-    threshold: Threshold = None,
-    preset: Preset = "default",
-    features: Detector = "sift",
-    max_image_size: MaxImageSize = None,
-    max_features: MaxFeatures = None,
+    estimator: options.Estimator = "epiprior",
+    mode: options.Mode = "preprocess",
+    seed: options.Seed = 0,
+    threshold: options.Threshold = None,
+    preset: options.Preset = "default",
+    features: options.Detector = "sift",
+    max_image_size: options.MaxImageSize = None,
+    max_features: options.MaxFeatures = None,
     matches: Annotated[int, typer.Option(min=1, help="How many of the best matches.")] = 100,
 ) -> None:
     """Draw the best matches, coloured by probability, and the epipolar lines of some inliers.
@@ -143,7 +119,7 @@ def draw(
     from epiprior import estimate_fundamental, rank_matches, standard_matches
     from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
 
-    settings = chosen_settings(preset, features, max_image_size, max_features)
+    settings = options.chosen_settings(preset, features, max_image_size, max_features)
     ranked = None if mode == "standard" else rank_matches(image1, image2, settings=settings)
     estimation = partial(estimate_fundamental, estimator=estimator, mode=mode, seed=seed, threshold_px=threshold)
     found = estimation(image1, image2, settings=settings, ranked=ranked)
@@ -153,21 +129,21 @@ def draw(
         shown = min(ranked.sets, key=lambda s: abs(math.remainder(s.roll_deg - found.roll_deg, 360)))
     write_picture(out, draw_matches(image1, image2, shown, found, settings=DrawSettings(max_matches=matches)))
     say(f"{out}: {summary(found)}")
-    exit_by_status(found)
+    options.exit_by_status(found)
 
 
 def explain(
-    image1: Image1,
-    image2: Image2,
+    image1: options.Image1,
+    image2: options.Image2,
     *,
     match: Annotated[int, typer.Option(min=0, help="Row of the match in what 'epiprior match' writes, from 0.")],
     out: Annotated[Path | None, typer.Option(help="Figure to write: .png or .jpg.", show_default=False)] = None,
     mode: Annotated[str, typer.Option(hidden=True)] = "preprocess",  # as of other commands, to say why not
-    preset: Preset = "default",
-    features: Detector = "sift",
-    max_image_size: MaxImageSize = None,
-    max_features: MaxFeatures = None,
-    as_json: Json = False,
+    preset: options.Preset = "default",
+    features: options.Detector = "sift",
+    max_image_size: options.MaxImageSize = None,
+    max_features: options.MaxFeatures = None,
+    as_json: options.Json = False,
 ) -> None:
     """Show why a match has its probability: its columns beside those of other matches, what holds it, its best F.
 
@@ -184,7 +160,7 @@ def explain(
     from epiprior.explain import explain_match
 
     found = explain_match(
-        image1, image2, match, settings=chosen_settings(preset, features, max_image_size, max_features)
+        image1, image2, match, settings=options.chosen_settings(preset, features, max_image_size, max_features)
     )
     if out:
         from epiprior.draw.explanation import draw_explanation

@@ -22,11 +22,8 @@ from epiprior.io.output import check_output, replacing
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.types import FloatArray, FundamentalEstimate, Geometry, IntArray
 
-_CONFIGURATIONS = {
-    Geometry.PLANAR: "PLANAR",
-    Geometry.ROTATION: "PANORAMIC",
-    Geometry.IDENTICAL: "WATERMARK",
-}
+_CONFIGURATIONS = {Geometry.PLANAR: "PLANAR", Geometry.ROTATION: "PANORAMIC", Geometry.IDENTICAL: "WATERMARK"}
+_EXIF = (b"Exif", b"eXIf", b"EXIF")  # what introduces an orientation in JPEG, PNG and WebP
 _HALF_PIXEL = 0.5  # COLMAP has the centre of the top-left pixel there
 _TO_OURS = np.array([[1.0, 0.0, -_HALF_PIXEL], [0.0, 1.0, -_HALF_PIXEL], [0.0, 0.0, 1.0]])
 
@@ -55,19 +52,15 @@ def write_colmap_database(
 
     Parameters
     ----------
-    path : str or Path
-        The database; must not exist.
-    pairs : sequence of ColmapPair
-        Each pair of images at most once, in either order.
-    image_root : str or Path, optional
-        The folder that image names are relative to, COLMAP's ``image_path``; by default the deepest that holds all.
+    path : The database; must not exist.
+    pairs : Each pair of images at most once, in either order.
+    image_root : The folder that image names are relative to, COLMAP's ``image_path``; by default the deepest that holds
+        all.
 
     Raises
     ------
-    OutputError
-        If pycolmap is not installed, `path` exists or cannot be written, or a pair is there twice.
-    ImageError
-        As `check_colmap_images` does.
+    OutputError : If pycolmap is not installed, `path` exists or cannot be written, or a pair is there twice.
+    ImageError : As `check_colmap_images` does.
     """
     path = Path(path)
     pycolmap = check_colmap_output(path)
@@ -88,7 +81,13 @@ def write_colmap_database(
             cameras = {image: add_camera(database, pycolmap.infer_camera_from_image(image)) for image in images}
             ids = {image: add_image(database, names[image], cameras[image], keypoints[image]) for image in images}
             for pair, both in zip(pairs, indices, strict=True):
-                _add_estimate(database, pair.estimate, (ids[pair.image1], ids[pair.image2]), both)
+                found, own = pair.estimate, (ids[pair.image1], ids[pair.image2])
+                order = np.argsort(~found.inliers, kind="stable")
+                order = order[one_to_one_mask(*(index[order] for index in both))]
+                if len(order):
+                    how: Any = {"configuration": configuration_of(found), "F": found.F, "H": found.H}
+                    matches, inliers = np.column_stack(both)[order], int(found.inliers[order].sum())
+                    add_pair(database, own, matches, inliers=inliers, **how)
         except RuntimeError as error:
             raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
         finally:
@@ -148,16 +147,29 @@ def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = 
             raise ImageError(f"{path}: is given twice")
         if not path.is_relative_to(root):
             raise ImageError(f"{path}: lies outside the image folder {root}")
-        names[path] = path.relative_to(root).as_posix()
-        try:
-            names[path].encode()
-        except UnicodeEncodeError as error:
-            raise ImageError(f"{path}: its name is not UTF-8, a COLMAP database cannot hold it: rename it") from error
-        # An eighth of the size suffices: what is turned has other sides or other pixels.
-        turned = read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8)
-        if not np.array_equal(turned, read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)):
+        names[path] = colmap_name(path, root)
+        if is_turned(path):
             raise ImageError(f"{path}: is turned by its EXIF orientation, which COLMAP ignores; save it upright first")
     return names
+
+
+def colmap_name(path: Path, root: Path) -> str:
+    """Return what COLMAP calls an image: its path relative to a folder; ImageError if a database cannot hold it."""
+    name = path.relative_to(root).as_posix()
+    try:
+        name.encode()
+    except UnicodeEncodeError as error:
+        raise ImageError(f"{path}: its name is not UTF-8, a COLMAP database cannot hold it: rename it") from error
+    return name
+
+
+def is_turned(path: Path) -> bool:
+    """Return whether the EXIF data of an image turn it; ImageError if it cannot be read."""
+    # An eighth of the size suffices: what is turned has other sides or other pixels.
+    stored = read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
+    content = path.read_bytes()
+    tagged = content[:2] in (b"II", b"MM") or any(tag in content for tag in _EXIF)  # the first are of TIFF
+    return tagged and not np.array_equal(stored, read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8))
 
 
 def _keypoints(
@@ -238,17 +250,6 @@ def add_pair(
     database.write_two_view_geometry(*ids, geometry)
 
 
-def _add_estimate(
-    database: Any, estimate: FundamentalEstimate, ids: tuple[int, int], indices: Sequence[IntArray]
-) -> None:
-    order = np.argsort(~estimate.inliers, kind="stable")
-    order = order[one_to_one_mask(*(index[order] for index in indices))]
-    inliers, configuration = int(estimate.inliers[order].sum()), configuration_of(estimate)
-    if len(order):
-        matches = np.column_stack(indices)[order]
-        add_pair(database, ids, matches, inliers=inliers, configuration=configuration, F=estimate.F, H=estimate.H)
-
-
 def configuration_of(estimate: FundamentalEstimate) -> str:
     """Return COLMAP's name for the geometry of an estimate; empty where there is none."""
     if estimate:
@@ -258,15 +259,9 @@ def configuration_of(estimate: FundamentalEstimate) -> str:
 
 def fundamental_for_colmap(F: FloatArray) -> FloatArray:
     """Return `F`, shape (3, 3), for points half a pixel further right and down: COLMAP's pixels."""
-    T = _from_colmap()
-    return np.asarray(T.T @ F @ T)
+    return np.asarray(_TO_OURS.T @ F @ _TO_OURS)
 
 
 def homography_for_colmap(H: FloatArray) -> FloatArray:
     """Return `H`, shape (3, 3), which maps image 1 to image 2, for COLMAP's pixels."""
-    T = _from_colmap()
-    return np.asarray(np.linalg.inv(T) @ H @ T)
-
-
-def _from_colmap() -> FloatArray:
-    return np.array([[1.0, 0.0, -_HALF_PIXEL], [0.0, 1.0, -_HALF_PIXEL], [0.0, 0.0, 1.0]])
+    return np.asarray(np.linalg.inv(_TO_OURS) @ H @ _TO_OURS)

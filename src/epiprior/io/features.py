@@ -32,27 +32,22 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
 
     Parameters
     ----------
-    database : str or Path
-        A database that ``colmap feature_extractor`` or pycolmap has written.
-    image_name : str
-        Name of the image in the database: its path relative to COLMAP's image folder.
-    roots : int
-        How many times the root was taken of the entries of the stored descriptors, >= 0: 1 for COLMAP's default
+    database : A database that ``colmap feature_extractor`` or pycolmap has written.
+    image_name : Name of the image in the database: its path relative to COLMAP's image folder.
+    roots : How many times the root was taken of the entries of the stored descriptors, >= 0: 1 for COLMAP's default
         normalisation ``L1_ROOT``, 0 for ``L2``. The database does not say which.
 
     Returns
     -------
-    Features
-        Locations in pixels, the centre of the top-left pixel at (0, 0): half a pixel less than COLMAP's. Scale is sigma
-        in pixels; of an affine frame the mean of its two. Orientation is in degrees; of an affine frame that of its
-        first axis. The size of the image is that of its camera. Empty if COLMAP found none.
+    Locations in pixels, the centre of the top-left pixel at (0, 0): half a pixel less than COLMAP's. Scale is sigma in
+    pixels; of an affine frame the mean of its two. Orientation is in degrees; of an affine frame that of its first
+    axis. The size of the image is that of its camera. Empty if COLMAP found none.
 
     Raises
     ------
-    FeatureError
-        If pycolmap is not installed, the file is missing, no COLMAP database or not writable, the image is not in it,
-        or its features are missing, are locations only (as `write_colmap_database` writes them), or are not described
-        by SIFT; the message names the file.
+    FeatureError : If pycolmap is not installed, the file is missing, no COLMAP database or not writable, the image is
+        not in it, or its features are missing, are locations only (as `write_colmap_database` writes them), or are not
+        described by SIFT; the message names the file.
     """
     database = Path(database)
     try:
@@ -97,29 +92,23 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
 
     Parameters
     ----------
-    path : str or Path
-        The file. The group of an image holds ``keypoints`` (N, 2), ``descriptors`` (D, N), ``image_size`` (2,),
+    path : The file. The group of an image holds ``keypoints`` (N, 2), ``descriptors`` (D, N), ``image_size`` (2,),
         ``scales`` (N,) and ``oris`` (N,): hloc's extractor ``dog``, its configuration ``sift``, writes them all.
-    image_name : str
-        Name of the group: the image's path relative to hloc's image folder.
-    roots : int
-        How many times the root was taken of the entries of the stored descriptors, >= 0. 2 for the ``rootsift`` of
+    image_name : Name of the group: the image's path relative to hloc's image folder.
+    roots : How many times the root was taken of the entries of the stored descriptors, >= 0. 2 for the ``rootsift`` of
         hloc's ``dog``, which takes the root of what COLMAP has taken the root of; 1 for a RootSIFT of one's own; 0 for
         its ``sift``, and for descriptors that are not SIFT.
 
     Returns
     -------
-    Features
-        Locations as the file has them, pixels: hloc's too have the centre of the top-left pixel at (0, 0), it adds half
-        a pixel only when it hands them to COLMAP. ``scales`` are sigma in pixels, ``oris`` degrees clockwise on the
-        screen.
+    Locations as the file has them, pixels: hloc's too have the centre of the top-left pixel at (0, 0), it adds half a
+    pixel only when it hands them to COLMAP. ``scales`` are sigma in pixels, ``oris`` degrees clockwise on the screen.
 
     Raises
     ------
-    FeatureError
-        If h5py is not installed, the file is missing or no h5 file, the image is not in it, a part of its features is
-        missing (learned detectors have no scale and orientation), or entries of which the root was taken are negative;
-        the message names the file.
+    FeatureError : If h5py is not installed, the file is missing or no h5 file, the image is not in it, a part of its
+        features is missing (learned detectors have no scale and orientation), or entries of which the root was taken
+        are negative; the message names the file.
     """
     path = Path(path)
     try:
@@ -131,10 +120,7 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
         with h5py.File(path, "r") as file:
             group = file.get(image_name)
             if not isinstance(group, h5py.Group):
-                names: list[str] = []
-                file.visit(names.append)
-                count = sum(name.endswith("/keypoints") for name in names)
-                raise FeatureError(f"{path}: has no image {image_name!r} among its {count} images")
+                raise FeatureError(f"{path}: has no image {image_name!r} among its {len(hloc_names(file))} images")
             items = {name: group.get(name) for name in _HLOC_PARTS}
             data = {name: np.asarray(item) for name, item in items.items() if isinstance(item, h5py.Dataset)}
     except (OSError, RuntimeError) as error:
@@ -144,13 +130,10 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
         if value.dtype.kind not in "iuf":
             raise FeatureError(f"{where}: {name} is of type {value.dtype}, expected numbers")
     missing = [name for name in _HLOC_PARTS if name not in data]
-    if any(name not in _HLOC_FRAMES for name in missing):
-        raise FeatureError(f"{where} has no {', '.join(missing)}")
     if missing:
-        raise FeatureError(
-            f"{where} has no {', '.join(missing)}: epiprior needs the scale and the orientation of each feature, which "
-            "learned features lack; hloc's configuration 'sift' writes them"
-        )
+        why = ": epiprior needs the scale and the orientation of each feature, which learned features lack; hloc's "
+        why = "" if set(missing) - set(_HLOC_FRAMES) else f"{why}configuration 'sift' writes them"
+        raise FeatureError(f"{where} has no {', '.join(missing)}{why}")
     return _features(
         where,
         xy=data["keypoints"],
@@ -159,6 +142,13 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
         descriptors=_without_roots(where, data["descriptors"].T, roots),
         image_size=tuple(data["image_size"].ravel().tolist()),
     )
+
+
+def hloc_names(file: Any) -> list[str]:
+    """Return the images that an open file of hloc has keypoints of, by name."""
+    names: list[str] = []
+    file.visit(names.append)
+    return sorted(name.rpartition("/")[0] for name in names if name.endswith("/keypoints"))
 
 
 def _check_is_file(path: Path) -> None:

@@ -40,15 +40,12 @@ def write_matches(path: str | Path, matches: MatchSet | RankedMatches | Sequence
 
     Parameters
     ----------
-    path : str or Path
-        Ends in ``.csv`` (nine significant digits, which is more than float32 holds) or ``.npz`` (exact).
-    matches : MatchSet, RankedMatches or sequence of MatchSet
-        Of `RankedMatches`, all sets, not the standard matches. A set without matches leaves no rows.
+    path : Ends in ``.csv`` (nine significant digits, which is more than float32 holds) or ``.npz`` (exact).
+    matches : Of `RankedMatches`, all sets, not the standard matches. A set without matches leaves no rows.
 
     Raises
     ------
-    OutputError
-        If the suffix is unknown, the folder is missing, or writing fails; the message names the path.
+    OutputError : If the suffix is unknown, the folder is missing, or writing fails; the message names the path.
     """
     path = Path(path)
     check_output(path, TABLES)
@@ -68,16 +65,12 @@ def write_matches(path: str | Path, matches: MatchSet | RankedMatches | Sequence
 def read_matches(path: str | Path) -> tuple[MatchSet, ...]:
     """Read what `write_matches` wrote: one set per value of ``set``, ascending; none for a table without rows.
 
-    Parameters
-    ----------
-    path : str or Path
-        A ``.csv`` or ``.npz`` file; columns in any order, further columns are ignored.
+    Columns may be in any order, further ones are ignored.
 
     Raises
     ------
-    FeatureError
-        If the file is missing, no such table, lacks a column, or holds something else than numbers; the message names
-        the file and the line or column.
+    FeatureError : If the file is missing, no such table, lacks a column, or holds something else than numbers; the
+        message names the file and the line or column.
     """
     path = Path(path)
     if path.suffix.lower() not in TABLES:

@@ -1,14 +1,11 @@
 """The model folder of the confidence: what `epiprior.verification.confidence.load_confidence` reads."""
 
-import hashlib
-import json
-from importlib.metadata import version
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from epiprior.ranking.models import CARD, MANIFEST, SCHEMA_VERSION
 from epiprior.verification.confidence import CONFIDENCE_TARGETS, load_confidence
-from epiprior_lab.export.model_folder import LIBRARIES, check_parity
+from epiprior_lab.export.model_folder import check_parity, write_folder
 
 _CARD = """\
 # epiprior model `confidence`
@@ -27,9 +24,9 @@ reach it, cross-validated, and never below {floor}.
 
 ## Training data
 
-Estimates on {scenes} blocks of rendered scenes that no ranker saw, {rankings} pairs in all: {counts}.
-{rows} rows, {positive} of a right F; half of them lack what matches of others may lack. The sha256 of rows
-and labels is `{sha256}`.
+Estimates on {data[scenes]} blocks of rendered scenes that no ranker saw, {data[rankings]} pairs in all: {counts}.
+{data[confidence_rows]} rows, {data[confidence_right]} of a right F; half of them lack what matches of others may lack. The sha256 of rows
+and labels is `{data[sha256]}`.
 
 ## Measures
 
@@ -53,7 +50,6 @@ Cross-validation by blocks of scenes, calibrated on the other folds.
 
 {versions}
 """
-_MEASURES = ("accuracy", "precision", "log_loss", "brier_score", "expected_calibration_error")
 
 
 def export_confidence(
@@ -64,49 +60,29 @@ def export_confidence(
     `least` is the default of the confidence that is asked for, `accepted` the share of unrelated estimates for which it
     was chosen, `counts` the pairs of each kind. ExportError if the library gives other probabilities.
     """
-    summary = json.loads((training / "summary.json").read_text(encoding="utf-8"))
-    data = summary["training_data"] | {"pairs": counts}
-    versions = {library: version(library) for library in LIBRARIES}
-    manifest: dict[str, Any] = {
-        "schema_version": SCHEMA_VERSION,
-        "name": folder.name,
-        "training_data": data,
-        "library_versions": versions,
-        "min_confidence": least,
-    }
-    rows = {}
-    for target in CONFIDENCE_TARGETS:
-        item = summary[target]
-        manifest[target] = {"family": item["family"], "features": item["columns"], "metrics": item["metrics"]}
-        manifest[target]["calibration"] = {"a": item["a"], "b": item["b"]}
-        rows[target] = f"{item['family']} | {item['a']:.4f} | {item['b']:.4f}"
-    calibrated = [summary[target]["metrics"] for target in CONFIDENCE_TARGETS]
-    card = _CARD.format(
-        columns="\n".join(f"- `{t}`: {', '.join(summary[t]['columns'])}" for t in CONFIDENCE_TARGETS),
-        right=rows["confidence"],
-        flat=rows["homography"],
-        least=least,
-        floor=floor,
-        accepted=accepted,
-        scenes=data["scenes"],
-        rankings=data["rankings"],
-        rows=data["confidence_rows"],
-        positive=data["confidence_right"],
-        sha256=data["sha256"],
-        counts=", ".join(f"{count} {kind}" for kind, count in counts.items()),
-        measures="\n".join(
-            f"| {name} | " + " | ".join(f"{metrics[name]['calibrated']:.4f}" for metrics in calibrated) + " |"
-            for name in _MEASURES
-        ),
-        versions=", ".join(f"{library} {number}" for library, number in versions.items()),
-    )
-    contents = {f"{target}.onnx": (training / f"{target}.onnx").read_bytes() for target in CONFIDENCE_TARGETS}
-    contents[CARD] = card.encode()
-    manifest["files"] = {file: hashlib.sha256(content).hexdigest() for file, content in contents.items()}
-    contents[MANIFEST] = (json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, content in contents.items():
-        (folder / file).write_bytes(content)
+
+    def card(manifest: Mapping[str, Any]) -> str:
+        data, items = manifest["training_data"], [manifest[target] for target in CONFIDENCE_TARGETS]
+        right, flat = (f"{i['family']} | {i['calibration']['a']:.4f} | {i['calibration']['b']:.4f}" for i in items)
+        measured = [
+            (name, *(f"{item['metrics'][name]['calibrated']:.4f}" for item in items))
+            for name in ("accuracy", "precision", "log_loss", "brier_score", "expected_calibration_error")
+        ]
+        return _CARD.format(
+            columns="\n".join(f"- `{t}`: {', '.join(manifest[t]['features'])}" for t in CONFIDENCE_TARGETS),
+            right=right,
+            flat=flat,
+            least=least,
+            floor=floor,
+            accepted=accepted,
+            data=data,
+            counts=", ".join(f"{count} {kind}" for kind, count in counts.items()),
+            measures="\n".join(f"| {' | '.join(row)} |" for row in measured),
+            versions=", ".join(f"{library} {number}" for library, number in manifest["library_versions"].items()),
+        )
+
+    entries = {"min_confidence": least, "training_data": {"pairs": counts}}
+    write_folder(training, folder, CONFIDENCE_TARGETS, entries, card)
     load_confidence.cache_clear()
     model = load_confidence(folder)
     check_parity(training, folder, {"confidence": model.confidence, "homography": model.homography})

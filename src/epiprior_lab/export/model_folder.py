@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -29,29 +29,40 @@ def export_model(training: Path, folder: Path, preset: str) -> None:
     The folder, made if absent, has the model's name; two ONNX files, the manifest and the model card are replaced.
     ExportError if the library, loading it, gives other probabilities than the classifiers that were fitted.
     """
+    entries = {"preset": preset, "feature_parameters": asdict(find_preset(preset))}
+    manifest = write_folder(training, folder, TARGETS, entries, model_card)
+    model = load_model(folder)
+    check_parity(training, folder, {target: getattr(model, target) for target in TARGETS if target in manifest})
+
+
+def write_folder(
+    training: Path,
+    folder: Path,
+    targets: Sequence[str],
+    entries: Mapping[str, Any],
+    card: Callable[[Mapping[str, Any]], str],
+) -> Mapping[str, Any]:
+    """Write the classifiers that training made of `targets`, with a manifest and its card; return the manifest.
+
+    It holds `entries` beside what training says.
+    """
     summary = json.loads((training / "summary.json").read_text(encoding="utf-8"))
-    manifest: dict[str, Any] = {
-        "schema_version": SCHEMA_VERSION,
-        "name": folder.name,
-        "preset": preset,
-        "feature_parameters": asdict(find_preset(preset)),
-        "training_data": summary["training_data"],
-        "library_versions": {library: version(library) for library in LIBRARIES},
-    }
-    targets = [target for target in TARGETS if target in summary]
-    for target in targets:
+    manifest: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": folder.name, **entries}
+    manifest["training_data"] = summary["training_data"] | entries.get("training_data", {})
+    manifest["library_versions"] = {library: version(library) for library in LIBRARIES}
+    contents = {}
+    for target in (target for target in targets if target in summary):
         item = summary[target]
         manifest[target] = {"family": item["family"], "features": item["columns"], "metrics": item["metrics"]}
         manifest[target]["calibration"] = {"a": item["a"], "b": item["b"]}
-    contents = {f"{target}.onnx": (training / f"{target}.onnx").read_bytes() for target in targets}
-    contents[CARD] = model_card(manifest).encode()
+        contents[f"{target}.onnx"] = (training / f"{target}.onnx").read_bytes()
+    contents[CARD] = card(manifest).encode()
     manifest["files"] = {file: hashlib.sha256(content).hexdigest() for file, content in contents.items()}
     contents[MANIFEST] = (json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
     folder.mkdir(parents=True, exist_ok=True)
     for file, content in contents.items():
         (folder / file).write_bytes(content)
-    model = load_model(folder)
-    check_parity(training, folder, {target: getattr(model, target) for target in targets})
+    return manifest
 
 
 def check_parity(training: Path, folder: Path, classifiers: Mapping[str, Classifier]) -> None:

@@ -8,11 +8,11 @@ import pandas as pd
 from epiprior_lab.analysis.records import Analysis
 from epiprior_lab.evaluation.records import Tables, write_frame
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import AnalysisParams, StudyParams
 from epiprior_lab.report import analysis_figures as figures
 from epiprior_lab.report import analysis_tables as tables
-from epiprior_lab.report.page import Block, Page, Picture, Section, Table
+from epiprior_lab.report.page import Block, Page, Picture, Section, Table, picture, say
 from epiprior_lab.report.pictures import contact_sheet
-from epiprior_lab.report.prose import picture, say
 from epiprior_lab.report.results import ROUNDING
 from epiprior_lab.report.text import Row, interval, listed, number, order_of, share, signed
 
@@ -29,60 +29,41 @@ _LISTS = (
 
 
 def write_analysis(
-    analysis: Analysis,
-    evaluated: Tables,
-    pairs: Mapping[str, Sequence[Pair]],
-    out: Path,
-    *,
-    estimator: str,
-    thresholds_px: Sequence[float],
-    quantiles: Sequence[float],
-    refined: int,
-    draws: int,
-    seed: int,
+    analysis: Analysis, evaluated: Tables, pairs: Mapping[str, Sequence[Pair]], out: Path, params: StudyParams
 ) -> None:
     """Write tables, figures and pages of the analysis to a folder.
 
     `evaluated` is the evaluation of all groups, for Table 1, `pairs` are those of these groups, for their pictures.
-    Every variant runs on `estimator`; the first of `thresholds_px` is the paper's; `quantiles` are of the named pairs
-    of Table 1; `refined` rough matrices were refined by the oracle; `draws` and `seed` are of the bootstrap.
+    Every variant runs on the first estimator of the parameters.
     """
-    successes = tables.success_table(analysis, estimator, thresholds_px=thresholds_px, draws=draws, seed=seed)
-    precision = tables.precision_table(analysis, draws=draws, seed=seed)
-    lost = tables.lost_table(analysis, thresholds_px)
-    for name, table in (("successes", successes), ("precision", precision), ("lost", lost)):
+    report, own = params.report, params.analysis
+    thresholds, how = (report.success_px, report.strict_px), {"draws": report.bootstrap_draws, "seed": report.seed}
+    made = {
+        "successes": tables.success_table(analysis, own.estimators[0], thresholds_px=thresholds, **how),
+        "precision": tables.precision_table(analysis, **how),
+        "lost": tables.lost_table(analysis, thresholds),
+    }
+    for name, table in made.items():
         write_frame(table, out / f"{name}.csv")
     figures.steps_figure(analysis, out / "steps.png")
-    figures.ablation_figure(precision, successes, thresholds_px, out / "ablations.png")
-    figures.lost_figure(lost, out / "limits.png")
-    page = _analysis_page(analysis, successes, precision, lost, estimator=estimator, refined=refined)
-    page.write(out, markdown="analysis.md", html="index.html")
-    named = {group: named_pairs(evaluated.rankings, group, quantiles) for group in pairs}
-    by_id = {(group, pair.pair_id): pair for group, own in pairs.items() for pair in own}
+    figures.ablation_figure(made["precision"], made["successes"], thresholds, out / "ablations.png")
+    figures.lost_figure(made["lost"], out / "limits.png")
+    _analysis_page(analysis, made, own).write(out, markdown="analysis.md", html="index.html")
+    named = {group: named_pairs(evaluated.rankings, group, own.table_quantiles) for group in pairs}
+    by_id = {(group, pair.pair_id): pair for group, members in pairs.items() for pair in members}
     contact_sheet({group: [by_id[group, n] for n in names] for group, names in named.items()}, out / "table1.jpg")
-    table1_page(evaluated, named, quantiles, thresholds_px[0]).write(out, markdown="table1.md", html="")
+    page = table1_page(evaluated, named, own.table_quantiles, report.success_px)
+    page.write(out, markdown="table1.md", html="")
 
 
-def _analysis_page(
-    analysis: Analysis,
-    successes: pd.DataFrame,
-    precision: pd.DataFrame,
-    lost: pd.DataFrame,
-    *,
-    estimator: str,
-    refined: int,
-) -> Page:
+def _analysis_page(analysis: Analysis, made: Mapping[str, pd.DataFrame], own: AnalysisParams) -> Page:
     """Return the page of the analysis; tables as from `analysis_tables`."""
+    estimator, successes, precision = own.estimators[0], made["successes"], made["precision"]
     hard = order_of(analysis.limits["group"])
     steps, ablation, oracle = (successes[successes["experiment"] == e] for e in ("steps", "ablation", "oracle"))
     several = steps["variant"].isin(["sfm", "paper"])  # ran on several estimators
-    easy = pd.concat(
-        [
-            steps[several],
-            ablation[ablation["variant"] == "X alone"],
-            ablation[(ablation["variant"] == "default") & (ablation["ranking"] == "final")],
-        ]
-    )
+    whole = (ablation["variant"] == "default") & (ablation["ranking"] == "final")
+    easy = pd.concat([steps[several], ablation[ablation["variant"] == "X alone"], ablation[whole]])
     steps = steps[steps["group"].isin(hard) & ((steps["estimator"] == estimator) | ~several)]
     ablation = ablation[ablation["group"].isin(hard)]
     numbers = analysis.variants.groupby("group", sort=False)["pair_id"].nunique().unique()
@@ -105,11 +86,11 @@ def _analysis_page(
             *_success_blocks(easy[~easy["group"].isin(hard)], "the union"),
         ],
         "What limits the results": [
-            say("analysis limits", refined=refined, estimator=estimator),
+            say("analysis limits", refined=own.refined_hypotheses, estimator=estimator),
             _limits(tables.limits_table(analysis)),
             *_success_blocks(oracle, "`default`"),
         ],
-        "Where successes are lost": [say("analysis lost"), picture("limits", "limits.png"), _lost(lost)],
+        "Where successes are lost": [say("analysis lost"), picture("limits", "limits.png"), _lost(made["lost"])],
     }
     pairs, seeds = listed([str(n) for n in sorted(numbers)]), analysis.variants["seed"].nunique()
     return Page(

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from epiprior_lab.analysis.records import Analysis
 from epiprior_lab.report import style
 from epiprior_lab.report.analysis_tables import errors_of
-from epiprior_lab.report.style import GRID, INK, SERIES, Look, legend, save, styled
-from epiprior_lab.report.text import order_of
+from epiprior_lab.report.style import GRID, INK, SERIES, legend, styled
+from epiprior_lab.report.text import Look, order_of
 
 STEP_LOOKS = {
     "standard": Look("standard input (X_L)", "#8b919b", ":", ""),
@@ -49,7 +49,7 @@ def steps_figure(analysis: Analysis, path: Path) -> None:
     looks = {name: look for name, look in STEP_LOOKS.items() if name in first.index}
     for name in looks.keys() & {"default", "beyond"}:
         looks[name] = replace(looks[name], label=f"{looks[name].label}, {first[name]}")
-    with styled(1, len(groups), (4.6 * len(groups), 4.4), sharey=True) as (figure, axes):
+    with styled(path, 1, len(groups), (4.6 * len(groups), 4.4), sharey=True) as (figure, axes):
         for axis, group in zip(axes[0], groups, strict=True):
             errors = {
                 name: errors_of(steps, group=group, variant=name, estimator=first[name]).to_numpy(np.float64)
@@ -60,7 +60,6 @@ def steps_figure(analysis: Analysis, path: Path) -> None:
             axis.set(title=group, ylim=(0, pairs * 1.02), xlabel="threshold, px")
         axes[0][0].set_ylabel("successful pairs")
         legend(figure, list(looks.values()))
-        save(figure, path)
 
 
 def ablation_figure(
@@ -73,7 +72,7 @@ def ablation_figure(
     groups = order_of(ablation["group"])
     sizes = [ablation[ablation["group"] == g]["variant"].nunique() for g in groups]
     size = (2.5 * len(panels) + 1.6, 0.34 * sum(sizes) + 0.75 * len(groups) + 0.7)
-    with styled(len(groups), len(panels), size) as (figure, axes):
+    with styled(path, len(groups), len(panels), size) as (figure, axes):
         grid = axes[0][0].get_gridspec()
         assert grid is not None
         grid.set_height_ratios([n + 1.2 for n in sizes])
@@ -91,7 +90,6 @@ def ablation_figure(
                 axis.grid(axis="y", visible=False)
         style.label_grid(axes, rows=groups, columns=[title for _, title, _ in panels])
         legend(figure, list(_RANKING_LOOKS.values()), markers=True)
-        save(figure, path)
 
 
 def _dots(axis: Axes, table: pd.DataFrame, variants: Sequence[str], measure: str) -> None:
@@ -111,7 +109,10 @@ def lost_figure(lost: pd.DataFrame, path: Path) -> None:
     """Draw where successes are lost as stacked bars: a panel per threshold, a bar per group and estimator."""
     thresholds = list(dict.fromkeys(lost["threshold_px"]))
     bars = len(lost) // len(thresholds)
-    with styled(1, len(thresholds), (4.4 * len(thresholds) + 1.2, 0.5 * bars + 1.3), sharey=True) as (figure, axes):
+    with styled(path, 1, len(thresholds), (4.4 * len(thresholds) + 1.2, 0.5 * bars + 1.3), sharey=True) as (
+        figure,
+        axes,
+    ):
         for axis, threshold in zip(axes[0], thresholds, strict=True):
             part = lost[lost["threshold_px"] == threshold]
             y, left = np.arange(len(part))[::-1], np.zeros(len(part))
@@ -126,4 +127,3 @@ def lost_figure(lost: pd.DataFrame, path: Path) -> None:
             axis.tick_params(axis="y", labelsize=8.5, labelcolor=INK)
             axis.grid(axis="y", visible=False)
         style.axis_legend(figure, axes[0][0])
-        save(figure, path)

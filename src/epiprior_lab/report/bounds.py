@@ -1,6 +1,6 @@
 """What was wanted of the results (``benchmarks/bounds.yaml``), and what the tables say of it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from epiprior_lab.report.text import ALL, OURS, Row, baseline_of, group_title, i
 
 EVERY = "every"
 BOUNDS = Path("benchmarks/bounds.yaml")
+Tables = Mapping[str, pd.DataFrame]
 COLUMNS = "measure group threshold_px estimator input against wanted found low high possible kept of met"
 
 
@@ -41,22 +42,16 @@ def load_bounds(path: Path, pipeline: str) -> list[Bound]:
     except (OSError, yaml.YAMLError, TypeError) as error:
         known = ", ".join(field.name for field in fields(Bound))
         raise ReportError(f"{path}: cannot be read as a list of bounds with {known}: {error}") from error
-    unknown = [bound.measure for bound in found if bound.measure not in (*_OF_RESULTS, *_OF_TIME)]
+    unknown = [bound.measure for bound in found if bound.measure not in _MEASURES]
     if unknown:
-        raise ReportError(f"{path}: no measure {unknown[0]!r}, only {', '.join((*_OF_RESULTS, *_OF_TIME))}")
+        raise ReportError(f"{path}: no measure {unknown[0]!r}, only {', '.join(_MEASURES)}")
     return [bound for bound in found if bound.pipeline == pipeline]
 
 
-def judge(
-    bounds: list[Bound],
-    *,
-    results: Results | None = None,
-    tables: Mapping[str, pd.DataFrame] | None = None,
-    overhead: pd.DataFrame | None = None,
-) -> pd.DataFrame:
-    """Return every bound that the given results allow to judge, and whether it is met.
+def judge(bounds: Sequence[Bound], tables: Tables, results: Results | None = None) -> pd.DataFrame:
+    """Return every bound that the given tables allow to judge, and whether it is met.
 
-    `results` go with `tables` (``successes``, ``duels``, ``rankings``); `overhead` is from `timing.overhead_table`.
+    Those of time need `overhead` among the tables (`timing.overhead_table`), all others those of `results`.
 
     Columns: ``measure, group, threshold_px, estimator, input, against``: the bound, with whom the numbers are about;
     ``wanted, found, low, high`` (95 % interval over scenes); ``possible``, what would be found if every pair
@@ -65,25 +60,28 @@ def judge(
     without results is a ReportError.
     """
     rows = []
-    for bound in bounds:
+    for bound in (bound for bound in bounds if (bound.measure in _OF_TIME) == ("overhead" in tables)):
         row: dict[str, Any] = dict.fromkeys(COLUMNS.split(), np.nan)
         row |= {"wanted": bound.at_most if np.isnan(bound.at_least) else bound.at_least, "met": False}
         row |= {name: value for name, value in vars(bound).items() if name in row}
-        if bound.measure in _OF_TIME and overhead is not None:
-            rows.append(row | _time(bound, overhead))
-        elif bound.measure in _OF_RESULTS and results is not None and tables is not None:
-            empty = bound.group not in results.masks or not results.masks[bound.group].any()
-            rows.append(row if empty else row | _OF_RESULTS[bound.measure](bound, results, tables))
+        if results is None or bound.group in dict(results.groups()):
+            row |= _MEASURES[bound.measure](bound, results, tables)
+        rows.append(row)
     return pd.DataFrame(rows, columns=COLUMNS.split())
 
 
-def _contribution(bound: Bound, results: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+def _rows(table: pd.DataFrame, bound: Bound, *columns: str) -> pd.DataFrame:
+    """Return the rows whose values in certain columns are those of the bound."""
+    for column in columns:
+        table = table[table[column] == getattr(bound, column)]
+    return table
+
+
+def _contribution(bound: Bound, results: Any, tables: Tables) -> dict[str, Any]:
     if bound.against == "best_peer":
         return _best_peer(bound, results)
-    at = tables["successes"]
-    at = at[(at["group"] == bound.group) & (at["threshold_px"] == bound.threshold_px)]
-    ours = at[at["input"] == bound.input]
-    ours = ours if bound.estimator == EVERY else ours[ours["estimator"] == bound.estimator]
+    at = _rows(tables["successes"], bound, "group", "threshold_px")
+    ours = _rows(at, bound, "input", *([] if bound.estimator == EVERY else ["estimator"]))
     if ours.empty:
         raise ReportError(f"no results of {bound.estimator} on {bound.group} below {bound.threshold_px:g} px")
     worst = ours.sort_values("gain", kind="stable").iloc[0]
@@ -113,9 +111,8 @@ def _best_peer(bound: Bound, results: Results) -> dict[str, Any]:
     return row | {"met": found.value >= bound.at_least - ROUNDING}
 
 
-def _difference(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
-    at = tables["duels"]
-    at = at[(at["group"] == bound.group) & (at["input"] == bound.input) & (at["threshold_px"] == bound.threshold_px)]
+def _difference(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
+    at = _rows(tables["duels"], bound, "group", "input", "threshold_px")
     if at.empty:
         raise ReportError(f"no duels on {bound.group}, {bound.input}, below {bound.threshold_px:g} px")
     rival = at.sort_values(["difference_low", "difference"], kind="stable").iloc[0]
@@ -124,9 +121,9 @@ def _difference(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) ->
     return row | {"kept": kept, "of": len(at), "met": kept == len(at)}
 
 
-def _precision_gain(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
-    at = tables["rankings"]
-    at = at[(at["group"] == bound.group) & (at["input"] == bound.input) & (at["ranking"] == "final")]
+def _precision_gain(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
+    at = _rows(tables["rankings"], bound, "group", "input")
+    at = at[at["ranking"] == "final"]
     if at.empty:
         return {}
     row = at.iloc[0]
@@ -134,29 +131,26 @@ def _precision_gain(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]
     return _found_in(row, "gain") | {"possible": possible, "met": met}
 
 
-def _time(bound: Bound, overhead: pd.DataFrame) -> dict[str, Any]:
-    at = overhead[(overhead["group"] == bound.group) & (overhead["input"] == _OF_TIME[bound.measure])]
-    at = at[at["estimator"] == (ALL if bound.estimator == EVERY else bound.estimator)]
-    if at.empty:
-        return {}
-    found = float(at["median_overhead"].iloc[0])
-    return {"found": found, "met": found <= bound.at_most}
+def _time(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
+    at = _rows(tables["overhead"], bound, "group")
+    who = ALL if bound.estimator == EVERY else bound.estimator
+    at = at[(at["input"] == _OF_TIME[bound.measure]) & (at["estimator"] == who)]
+    return {} if at.empty else _reached(bound, float(at["median_overhead"].iloc[0]))
 
 
-def _confidence(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+def _confidence(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
     """Return what the confidence of all estimators reached; nothing without pairs of other kinds."""
-    table = tables.get("confidence")
-    if table is None:
+    if "confidence" not in tables:
         return {}
+    table = tables["confidence"]
     row = table[(table["estimator"] == ALL) & (table["score"] == "confidence")].iloc[0]
     return _reached(bound, float(row[_OF_CONFIDENCE[bound.measure]]))
 
 
-def _cascade_lost(bound: Bound, _: Results, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
-    table = tables.get(CASCADE)
-    if table is None:
+def _cascade_lost(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
+    if CASCADE not in tables:
         return {}
-    at = table[(table["group"] == bound.group) & (table["threshold_px"] == bound.threshold_px)]
+    at = _rows(tables[CASCADE], bound, "group", "threshold_px")
     worst = at.assign(share=at["lost"] / at["pairs"]).sort_values("share", ascending=False, kind="stable").iloc[0]
     return {"estimator": worst["estimator"], **_reached(bound, float(worst["share"]))}
 
@@ -185,14 +179,15 @@ _SENTENCES: Mapping[str, str] = {
     "time": "median time with preprocessing at most {wanted:g} times that without",
     "cascade_time": "median time of the cascade at most {wanted:g} times that without",
 }
-_OF_RESULTS: Mapping[str, Callable[[Bound, Results, Mapping[str, pd.DataFrame]], dict[str, Any]]] = {
+_OF_TIME: Mapping[str, str] = {"time": OURS, "cascade_time": CASCADE}
+_MEASURES: Mapping[str, Callable[[Bound, Any, Tables], dict[str, Any]]] = {
     "contribution": _contribution,
     "difference": _difference,
     "precision_gain": _precision_gain,
     "cascade_lost": _cascade_lost,
     **dict.fromkeys(_OF_CONFIDENCE, _confidence),
+    **dict.fromkeys(_OF_TIME, _time),
 }
-_OF_TIME: Mapping[str, str] = {"time": OURS, "cascade_time": CASCADE}
 
 
 def bound_rows(judged: pd.DataFrame) -> list[list[str]]:

@@ -9,11 +9,10 @@ import pandas as pd
 
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
-from epiprior_lab.report.page import Page, Section, Table
-from epiprior_lab.report.prose import picture, say
+from epiprior_lab.report.page import Page, Section, Table, picture, say
 from epiprior_lab.report.results import Results
-from epiprior_lab.report.style import MUTED, Look, axis_legend, label_grid, save, styled
-from epiprior_lab.report.text import order_of, share
+from epiprior_lab.report.style import MUTED, axis_legend, label_grid, styled
+from epiprior_lab.report.text import Look, order_of, share
 from epiprior_lab.selection import cascade_rule
 from epiprior_lab.selection.cascade_rule import NEVER, LearntRule, kept_runs
 
@@ -92,7 +91,7 @@ def cascade_figure(
     estimators = order_of(next(iter(runs.values()))["estimator"])
     columns = min(4, len(estimators))
     rows = -(-len(estimators) // columns)
-    with styled(rows, columns, (2.6 * columns, 2.2 * rows + 0.6), sharex=True, sharey=True) as (figure, axes):
+    with styled(path, rows, columns, (2.6 * columns, 2.2 * rows + 0.6), sharex=True, sharey=True) as (figure, axes):
         panels = [axis for row in axes for axis in row]
         for axis, estimator in zip(panels, estimators, strict=False):
             for split, table in runs.items():
@@ -115,4 +114,3 @@ def cascade_figure(
         for look in _LOOKS.values():
             panels[0].plot([], [], color=look.colour, ls=look.line, marker=look.marker, label=look.label)
         axis_legend(figure, panels[0])
-        save(figure, path)

@@ -16,9 +16,9 @@ from sklearn.metrics import roc_auc_score, roc_curve
 from epiprior.types import Geometry, Status
 from epiprior_lab.evaluation.kinds import COLMAP, TRUE
 from epiprior_lab.measures import calibration_bins
-from epiprior_lab.report.page import Block, Table
-from epiprior_lab.report.style import MUTED, Look, axis_legend, save, styled
-from epiprior_lab.report.text import ALL, input_title, number, order_of, share
+from epiprior_lab.report.page import Table
+from epiprior_lab.report.style import MUTED, axis_legend, styled
+from epiprior_lab.report.text import ALL, Look, input_title, number, order_of, share
 
 RIGHT, WRONG, WITHOUT_F, STRANGERS = "right", "wrong", "without F", "unrelated"
 FLAT = ("plane", "rotation", "copy")
@@ -102,7 +102,7 @@ def confidence_figure(kinds: pd.DataFrame, success_px: float, path: Path) -> Non
     """Draw the ROC of every score, the reliability of the confidence, and wrong F over answered pairs."""
     table = labelled(kinds, success_px)
     table = table[table["kind"].isin((RIGHT, WRONG, STRANGERS))]
-    with styled(1, 3, (12.0, 4.0)) as (figure, ((roc, reliability, risk),)):
+    with styled(path, 1, 3, (12.0, 4.0)) as (figure, ((roc, reliability, risk),)):
         for score, look in SCORES.items():
             part = table[(table["estimator"] == COLMAP) == (score == COLMAP)]
             right = (part["kind"] == RIGHT).to_numpy()
@@ -123,36 +123,28 @@ def confidence_figure(kinds: pd.DataFrame, success_px: float, path: Path) -> Non
         reliability.set(xlabel="confidence", ylabel="share of right F", xlim=(0, 1), ylim=(0, 1))
         risk.set(xlabel="share of estimates answered", ylabel="share of them wrong", xlim=(0, 1), ylim=(0, None))
         axis_legend(figure, roc)
-        save(figure, path)
 
 
 def kind_rows(table: pd.DataFrame) -> Table:
     """Return the table of kinds for the page: per estimator and input shares accepted and told, over the kinds."""
-    kinds = order_of(table["kind"])
+    kinds, numbers = order_of(table["kind"]), ["accepted", "told", "estimates"]
     rows = []
     for (estimator, name), part in table.groupby(["estimator", "input"], sort=False):
-        at = part.set_index("kind").reindex(kinds)
-        cells = ["" if np.isnan(n) else f"{share(a)} / {share(t)} of {n:.0f}" for a, t, n in _numbers(at)]
-        rows.append(
-            ["all" if estimator == ALL else str(estimator), "" if name == ALL else input_title(str(name)), *cells]
-        )
+        at = part.set_index("kind").reindex(kinds)[numbers].to_numpy(np.float64).tolist()
+        cells = ["" if np.isnan(n) else f"{share(a)} / {share(t)} of {n:.0f}" for a, t, n in at]
+        rows.append([*_who(str(estimator), str(name)), *cells])
     return Table(head=("estimator", "input", *kinds), rows=rows, texts=2)
 
 
-def _numbers(at: pd.DataFrame) -> list[list[float]]:
-    values: list[list[float]] = at[["accepted", "told", "estimates"]].to_numpy(np.float64).tolist()
-    return values
+def _who(estimator: str, name: str) -> tuple[str, str]:
+    return "all" if estimator == ALL else estimator, "" if name == ALL else input_title(name)
 
 
-def score_rows(table: pd.DataFrame) -> Block:
+def score_rows(table: pd.DataFrame) -> Table:
     """Return the table of scores for the page."""
     names = ("auc", "kept", "calibration_error", "flat_told", "copies_told", "false_flat")
     rows = [
-        [
-            "all" if row["estimator"] == ALL else row["estimator"],
-            "" if row["input"] == ALL else input_title(row["input"]),
-        ]
-        + [SCORES[row["score"]].label, *("" if np.isnan(row[n]) else number(row[n], 3) for n in names)]
+        [*_who(row["estimator"], row["input"]), SCORES[row["score"]].label, *(number(row[n], 3) for n in names)]
         for row in table.to_dict("records")
     ]
     head = ("estimator", "input", "score", "area under ROC", "right kept at 1 %", "calibration error")

@@ -16,9 +16,9 @@ from epiprior.types import FloatArray
 from epiprior_lab.evaluation.records import RANKS, right_column
 from epiprior_lab.report import style, text
 from epiprior_lab.report.results import Results
-from epiprior_lab.report.style import DOTS, GRID, INK, MUTED, SERIES, Look, label_grid, legend, looks_of, save, styled
+from epiprior_lab.report.style import DOTS, GRID, INK, MUTED, SERIES, label_grid, legend, looks_of, styled
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, calibration_sums
-from epiprior_lab.report.text import ALL, METRIC_TITLES, group_title, input_title, order_of, setting
+from epiprior_lab.report.text import ALL, METRIC_TITLES, Look, group_title, input_title, order_of, setting
 
 MIN_BAR = 30  # a share of fewer runs says little
 FEW_RUNS = 5
@@ -51,7 +51,7 @@ def success_figure(successes: pd.DataFrame, groups: Sequence[str], thresholds_px
     """Draw successes, a dot per estimator and input: a row per threshold, a column per group."""
     estimators, looks = order_of(successes["estimator"]), looks_of(order_of(successes["input"]))
     size = (2.6 * len(groups) + 0.8, (0.27 * len(estimators) + 0.75) * len(thresholds_px) + 0.4)
-    with styled(len(thresholds_px), len(groups), size, sharey=True) as (figure, axes):
+    with styled(path, len(thresholds_px), len(groups), size, sharey=True) as (figure, axes):
         for row, threshold in zip(axes, thresholds_px, strict=True):
             for axis, group in zip(row, groups, strict=True):
                 part = successes[(successes["group"] == group) & (successes["threshold_px"] == threshold)]
@@ -65,7 +65,6 @@ def success_figure(successes: pd.DataFrame, groups: Sequence[str], thresholds_px
                 axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))  # pairs are whole
         label_grid(axes, columns=[group_title(group) for group in groups])
         legend(figure, list(looks.values()), markers=True)
-        save(figure, path)
 
 
 def curve_figure(results: Results, path: Path) -> None:
@@ -73,10 +72,10 @@ def curve_figure(results: Results, path: Path) -> None:
 
     Bars are one standard deviation over seeds, as in the paper's figure of results. Inputs of peers are left out.
     """
-    looks = {name: look for name, look in looks_of(results.inputs_of_all).items() if name not in text.PEER_TITLES}
+    looks = {name: look for name, look in looks_of(results.inputs_of_all).items() if name not in text.PEERS}
     groups = results.main[:-1] or results.main
     size = (2.55 * len(groups) + 0.4, 1.4 * len(results.estimators) + 0.9)
-    with styled(len(results.estimators), len(groups), size, sharex=True, sharey="col") as (figure, axes):
+    with styled(path, len(results.estimators), len(groups), size, sharex=True, sharey="col") as (figure, axes):
         for row, estimator in zip(axes, results.estimators, strict=True):
             for axis, group in zip(row, groups, strict=True):
                 member = results.masks[group]
@@ -88,7 +87,6 @@ def curve_figure(results: Results, path: Path) -> None:
         label_grid(axes, rows=results.estimators, columns=titles, below="threshold, px")
         figure.supylabel("successful pairs", fontsize=9, color=MUTED)
         legend(figure, list(looks.values()))
-        save(figure, path)
 
 
 def duel_figure(duels: pd.DataFrame, champion: str, groups: Sequence[str], path: Path) -> None:
@@ -96,7 +94,7 @@ def duel_figure(duels: pd.DataFrame, champion: str, groups: Sequence[str], path:
     thresholds, rivals = list(dict.fromkeys(duels["threshold_px"])), order_of(duels["estimator"])
     places = [(group, name) for group in groups for name in order_of(duels["input"])]
     size = (2.5 * len(places) + 1.0, (0.25 * len(rivals) + 0.85) * len(thresholds) + 0.3)
-    with styled(len(thresholds), len(places), size, sharey=True, sharex=True) as (figure, axes):
+    with styled(path, len(thresholds), len(places), size, sharey=True, sharex=True) as (figure, axes):
         for row, threshold in zip(axes, thresholds, strict=True):
             for axis, (group, name) in zip(row, places, strict=True):
                 here = (duels["group"] == group) & (duels["input"] == name) & (duels["threshold_px"] == threshold)
@@ -111,7 +109,6 @@ def duel_figure(duels: pd.DataFrame, champion: str, groups: Sequence[str], path:
         label_grid(axes, rows=[f"below {t:g} px" for t in thresholds], columns=columns, below="pairs ahead")
         titles = {"better": f"{champion} is better", "open": "not decided", "worse": f"{champion} is worse"}
         legend(figure, [Look(title, _DECIDED[decided]) for decided, title in titles.items()], markers=True)
-        save(figure, path)
 
 
 def ranking_figure(results: Results, path: Path) -> None:
@@ -122,7 +119,7 @@ def ranking_figure(results: Results, path: Path) -> None:
     table = results.tables.rankings
     ranked = [name for name in order_of(table["input"]) if table.loc[table["input"] == name, "ranking"].nunique() > 1]
     inputs = looks_of([name for name in results.inputs_of_all if (table["input"] == name).any()])
-    rankings = looks_of(order_of(table["ranking"]), style.RANKING_LOOKS)
+    rankings = looks_of(order_of(table["ranking"]), text.RANKINGS)
     kinds: list[tuple[str, dict[tuple[str, str], Look]]] = [
         ("inputs", {(name, "final"): look for name, look in inputs.items()}),
         *((input_title(n), {(n, r): look for r, look in rankings.items()}) for n in ranked),
@@ -131,7 +128,7 @@ def ranking_figure(results: Results, path: Path) -> None:
     groups = [(name, part) for name, part in groups if len(part)]
     columns = [right_column(rank) for rank in RANKS]
     size = (2.75 * len(groups) + 2.2, 2.3 * len(kinds) + 0.4)
-    with styled(len(kinds), len(groups), size, sharex=True, sharey=True) as (figure, axes):
+    with styled(path, len(kinds), len(groups), size, sharex=True, sharey=True) as (_, axes):
         for row, (_, looks) in zip(axes, kinds, strict=True):
             for axis, (_, of_group) in zip(row, groups, strict=True):
                 for (name, ranking), look in looks.items():
@@ -145,14 +142,13 @@ def ranking_figure(results: Results, path: Path) -> None:
         names = [f"{title}\nshare of right matches" for title, _ in kinds]
         titles = [group_title(group, len(part[["group", "pair_id"]].drop_duplicates())) for group, part in groups]
         label_grid(axes, rows=names, columns=titles, below="matches, best first")
-        save(figure, path)
 
 
 def roll_figure(densities: Mapping[str, tuple[FloatArray, FloatArray, float]], path: Path) -> None:
     """Draw densities on a full turn: by pair its angles, the density, 1/degree, and the true roll, degrees."""
     columns = min(3, len(densities))
     rows = -(-len(densities) // columns)
-    with styled(rows, columns, (3.4 * columns, 2.1 * rows + 0.4)) as (figure, axes):
+    with styled(path, rows, columns, (3.4 * columns, 2.1 * rows + 0.4)) as (figure, axes):
         flat = [axis for row in axes for axis in row]
         for axis, (pair_id, (angles, density, true)) in zip(flat, densities.items(), strict=False):
             angle = (angles + 180) % 360 - 180  # 0 is in the middle
@@ -168,14 +164,13 @@ def roll_figure(densities: Mapping[str, tuple[FloatArray, FloatArray, float]], p
             row[0].set_ylabel("density, 1/degree")
         label_grid(axes, below="roll of image 2 against image 1, degrees")
         style.axis_legend(figure, flat[0])
-        save(figure, path)
 
 
 def calibration_figure(results: Results, path: Path) -> None:
     """Draw, per ranked input, the share of right matches over the stated probability, and how many state it."""
     table = results.tables.calibration
     names = order_of(table["input"])
-    with styled(2, len(names), (4.2 * len(names), 5.2), sharex=True) as (figure, axes):
+    with styled(path, 2, len(names), (4.2 * len(names), 5.2), sharex=True) as (_, axes):
         for k, name in enumerate(names):
             of_input, upper, lower = table[table["input"] == name], axes[0][k], axes[1][k]
             upper.plot([0, 1], [0, 1], color=MUTED, lw=1, ls=(0, (2, 2)))
@@ -197,7 +192,6 @@ def calibration_figure(results: Results, path: Path) -> None:
         axes[1][0].set_ylabel("matches")
         axes[0][0].legend(loc="upper left")
         axes[1][0].legend(loc="upper right")
-        save(figure, path)
 
 
 def status_figure(statuses: pd.DataFrame, groups: Sequence[str], path: Path) -> None:
@@ -205,7 +199,7 @@ def status_figure(statuses: pd.DataFrame, groups: Sequence[str], path: Path) -> 
     looks = looks_of([name for name in order_of(statuses["input"]) if name != ALL])
     width = 0.8 / max(len(looks), 1)
     panels = (("right", "right F turned down"), ("wrong", "wrong F turned down"))
-    with styled(1, 2, (2.2 + 1.7 * len(groups), 3.4)) as (figure, axes):
+    with styled(path, 1, 2, (2.2 + 1.7 * len(groups), 3.4)) as (figure, axes):
         for axis, (kind, title) in zip(axes[0], panels, strict=True):
             tallest = 0.0
             for k, (name, look) in enumerate(looks.items()):
@@ -226,7 +220,6 @@ def status_figure(statuses: pd.DataFrame, groups: Sequence[str], path: Path) -> 
         handles = [Patch(color=look.colour, label=look.label) for look in looks.values()]
         handles += [Patch(color=INK, label="full: degenerate"), Patch(color=INK, alpha=0.45, label="pale: no_model")]
         legend(figure, [], more=handles)
-        save(figure, path)
 
 
 def classifier_figure(table: pd.DataFrame, path: Path) -> None:
@@ -238,7 +231,7 @@ def classifier_figure(table: pd.DataFrame, path: Path) -> None:
         ("ungrouped", -0.2, "#e3a76f", "folds by row, as in the paper: optimistic (exported family)"),
     )
     size = (2.7 * len(metrics), 1.7 * len(subjects) + 0.6)
-    with styled(len(subjects), len(metrics), size, sharex=True) as (figure, axes):
+    with styled(path, len(subjects), len(metrics), size, sharex=True) as (figure, axes):
         for row, (preset, target) in zip(axes, subjects, strict=True):
             for axis, metric in zip(row, metrics, strict=True):
                 chosen = (table["preset"] == preset) & (table["target"] == target) & (table["metric"] == metric)
@@ -257,7 +250,6 @@ def classifier_figure(table: pd.DataFrame, path: Path) -> None:
         names = [f"{preset}:\n{text.TARGET_TITLES.get(str(target), str(target))}" for preset, target in subjects]
         label_grid(axes, rows=names, columns=[METRIC_TITLES[metric] for metric in metrics])
         style.axis_legend(figure, axes[0][0])
-        save(figure, path)
 
 
 def hand_over_figure(search: pd.DataFrame, path: Path) -> None:
@@ -270,7 +262,7 @@ def hand_over_figure(search: pd.DataFrame, path: Path) -> None:
     settings = [name for name in _SETTINGS if (search["step"] == name).any()]
     estimators = order_of(search["estimator"])
     size = (1.6 * len(settings) + 0.9, 1.3 * len(estimators) + 1.1)
-    with styled(len(estimators), len(settings), size, sharey="row") as (figure, axes):
+    with styled(path, len(estimators), len(settings), size, sharey="row") as (figure, axes):
         for row, estimator in zip(axes, estimators, strict=True):
             for axis, name in zip(row, settings, strict=True):
                 _sweep(axis, search[search["estimator"] == estimator], name)
@@ -281,7 +273,6 @@ def hand_over_figure(search: pd.DataFrame, path: Path) -> None:
         label_grid(axes, rows=estimators)
         figure.supylabel("validation pairs, mean of those below 10 px and below 3 px", fontsize=9, color=MUTED)
         legend(figure, list(looks_of(order_of(search["input"])).values()), markers=True)
-        save(figure, path)
 
 
 def _sweep(axis: Axes, part: pd.DataFrame, name: str) -> None:
@@ -315,7 +306,7 @@ def overhead_figure(overhead: pd.DataFrame, path: Path) -> None:
     """Draw time overhead over contribution: one point per group and estimator, one panel per ranked input."""
     presets, groups = order_of(overhead["input"]), order_of(overhead["group"])
     estimators = order_of(overhead["estimator"])
-    with styled(1, len(presets), (4.6 * len(presets) + 1.2, 3.9), sharey=True) as (figure, axes):
+    with styled(path, 1, len(presets), (4.6 * len(presets) + 1.2, 3.9), sharey=True) as (figure, axes):
         for axis, preset in zip(axes[0], presets, strict=True):
             own = overhead[overhead["input"] == preset]
             part = own[np.isfinite(own["contribution"])]
@@ -344,13 +335,12 @@ def overhead_figure(overhead: pd.DataFrame, path: Path) -> None:
         for k, estimator in enumerate(estimators):
             axes[0][0].plot([], [], _MARKERS[k % len(_MARKERS)], color=MUTED, label=estimator)
         figure.legend(loc="outside right center")
-        save(figure, path)
 
 
 def seconds_figure(table: pd.DataFrame, path: Path) -> None:
     """Draw milliseconds per run of each estimator (`timing.seconds_table`), by outcome; hollow for few runs."""
     estimators, looks = order_of(table["estimator"]), looks_of(order_of(table["input"]))
-    with styled(1, 2, (9.6, 0.45 * len(estimators) + 1.3), sharex=True, sharey=True) as (figure, axes):
+    with styled(path, 1, 2, (9.6, 0.45 * len(estimators) + 1.3), sharex=True, sharey=True) as (figure, axes):
         for axis, outcome in zip(axes[0], ("success", "failure"), strict=True):
             y = _names(axis, estimators)
             for k, (name, look) in enumerate(looks.items()):
@@ -373,4 +363,3 @@ def seconds_figure(table: pd.DataFrame, path: Path) -> None:
         few_runs = Line2D([], [], ls="", marker="o", color=MUTED, mfc="white", mew=1.1, label=label)
         dots = [Look(look.label, look.colour, "", look.marker) for look in looks.values()]
         legend(figure, dots, markers=True, more=[few_runs])
-        save(figure, path)

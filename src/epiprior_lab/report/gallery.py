@@ -17,8 +17,7 @@ from epiprior_lab.evaluation.inputs import match_pair
 from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.runs import estimates
 from epiprior_lab.pairsets import Pair
-from epiprior_lab.report.page import Block, Page, Picture, Section
-from epiprior_lab.report.prose import say
+from epiprior_lab.report.page import Block, Page, Picture, Section, say
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.tables import SNN
 from epiprior_lab.report.text import BASELINES, OURS, input_title, share

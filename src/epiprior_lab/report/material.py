@@ -14,8 +14,7 @@ from epiprior_lab.params import ReportParams
 from epiprior_lab.report import text
 from epiprior_lab.report.bounds import Bound
 from epiprior_lab.report.gallery import Case
-from epiprior_lab.report.page import Block, Picture, Table
-from epiprior_lab.report.prose import picture
+from epiprior_lab.report.page import Block, Picture, Table, picture
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.text import ALL, OURS, group_title, input_title, number, order_of
 
@@ -91,7 +90,7 @@ def summary_table(
     sizes = table.drop_duplicates("group").set_index("group")["pairs"]
     names = [name for name in order_of(whole["input"]) if name != "generalized"]
     who, values = [], []
-    order = [*text.BASELINES, "snn", *text.PEER_TITLES, "paper", CASCADE, OURS]
+    order = [*text.BASELINES, "snn", *text.PEERS, "paper", CASCADE, OURS]
     for name in sorted(names, key=lambda n: order.index(n) if n in order else 2):
         of_input = whole[whole["input"] == name].sort_values("successes", ascending=False, kind="stable")
         best = str(of_input["estimator"].iloc[0])

@@ -5,14 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from epiprior_lab.evaluation.learned import LEARNED
 from epiprior_lab.report import text
 from epiprior_lab.report.bounds import bound_rows
 from epiprior_lab.report.confidence import kind_rows, score_rows
 from epiprior_lab.report.figures import MIN_BAR
 from epiprior_lab.report.gallery import case_blocks
 from epiprior_lab.report.material import Material
-from epiprior_lab.report.page import Block, Table
-from epiprior_lab.report.prose import say
+from epiprior_lab.report.page import Block, Table, say
 from epiprior_lab.report.result_sections import named
 from epiprior_lab.report.text import ALL, group_title, input_title, number, share
 
@@ -36,8 +36,8 @@ def pairs(m: Material) -> Iterator[Block]:
 
 def method(m: Material) -> Iterator[Block]:
     """Yield how it was measured, and what stands behind each estimator."""
-    learned = [input_title(name) for name in m.results.inputs_of_all if name in text.LEARNED_TITLES]
-    rankers = [input_title(n) for n in m.results.inputs_of_all if n in text.PEER_TITLES.keys() - text.LEARNED_TITLES]
+    learned = [input_title(name) for name in m.results.inputs_of_all if name in LEARNED]
+    rankers = [input_title(n) for n in m.results.inputs_of_all if n in text.RANKERS]
     peers = f" {text.listed(rankers)}: rankers of others on our features, handed over as they are." if rankers else ""
     peers += f" {text.listed(learned)}: {say('learned')}" if learned else ""
     yield say("method", peers=peers, seeds=m.results.tables.runs["seed"].nunique())

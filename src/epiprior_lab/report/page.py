@@ -1,10 +1,16 @@
-"""A page is built once, as sections of prose, tables and figures, and rendered as Markdown and as HTML."""
+"""A page is built once, as sections of prose, tables and figures, and rendered as Markdown and as HTML.
 
+Its prose is kept in ``templates/prose.md``.
+"""
+
+import functools
 import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import jinja2
 from markdown_it import MarkdownIt
@@ -72,6 +78,28 @@ class Page:
         for name, render in ((markdown, render_markdown), (html, render_html)):
             if name:
                 (folder / name).write_text(render(self), encoding="utf-8", newline="\n")
+
+
+@functools.cache
+def _texts() -> dict[str, str]:
+    text = (resources.files("epiprior_lab.report") / "templates" / "prose.md").read_text(encoding="utf-8")
+    found: dict[str, str] = {}
+    for part in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
+        name, _, body = part.partition("\n")
+        # A line that neither follows an empty one nor starts an item belongs to the line before it.
+        found[name] = re.sub(r"(?<!\n)\n(?!\n|- )", " ", body.strip())
+    return found
+
+
+def say(name: str, **values: Any) -> str:
+    """Return a text as Markdown, a line per paragraph or item, with `values` in the place of names in braces."""
+    return _texts()[name].format(**values)
+
+
+def picture(name: str, path: str, **values: Any) -> Picture:
+    """Return a picture with its text and caption."""
+    alt, _, caption = say(f"figure {name}", **values).partition("\n\n")
+    return Picture(path=path, alt=alt, caption=caption)
 
 
 def table_lines(table: Table) -> list[str]:

@@ -17,7 +17,7 @@ from epiprior.two_view import estimate_fundamental
 from epiprior.types import FloatArray, FundamentalEstimate, MatchSet
 from epiprior_lab.pairsets import DatasetError, Pair
 from epiprior_lab.report.results import Results
-from epiprior_lab.report.style import INK, MUTED, save, styled
+from epiprior_lab.report.style import INK, MUTED, styled
 from epiprior_lab.report.text import BASELINES, OURS
 from epiprior_lab.scenes.world import Image
 
@@ -40,7 +40,7 @@ def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
     across = min(columns, 4)
     rows_of = {family: -(-len(pairs) // across) for family, pairs in pair_sets.items()}
     rows = sum(rows_of.values())
-    with styled(rows, across, (_PANEL_INCHES[0] * across, _PANEL_INCHES[1] * rows)) as (figure, axes):
+    with styled(path, rows, across, (_PANEL_INCHES[0] * across, _PANEL_INCHES[1] * rows)) as (figure, axes):
         first = 0
         for family, pairs in pair_sets.items():
             cells = [cell for row in axes[first : first + rows_of[family]] for cell in row]
@@ -57,7 +57,7 @@ def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
         engine = figure.get_layout_engine()
         if engine is not None:  # little room between panels
             engine.set(w_pad=0.04, h_pad=0.05, wspace=0.01, hspace=0.02)  # type: ignore[call-arg]
-        return save(figure, path)
+    return path
 
 
 def _thumbnail(path: Path) -> Image:

@@ -9,15 +9,15 @@ import pandas as pd
 from epiprior_lab.evaluation.records import Tables
 from epiprior_lab.params import ReportParams
 from epiprior_lab.report import figures, tables
+from epiprior_lab.report import method_sections as method
+from epiprior_lab.report import result_sections as shown
 from epiprior_lab.report.bounds import judge
 from epiprior_lab.report.cascade import cascade_table
 from epiprior_lab.report.confidence import confidence_figure, confidence_table, kind_table
 from epiprior_lab.report.gallery import write_gallery
-from epiprior_lab.report.material import Extras, Material
-from epiprior_lab.report.page import Page
-from epiprior_lab.report.prose import say
+from epiprior_lab.report.material import CASCADE, Extras, Maker, Material
+from epiprior_lab.report.page import Page, Section, say
 from epiprior_lab.report.results import Results, read_table
-from epiprior_lab.report.sections import all_sections
 from epiprior_lab.report.text import ALL, DIFFICULTIES, OURS
 
 TITLES = {
@@ -70,7 +70,7 @@ def make_tables(results: Results, params: ReportParams, extras: Extras) -> _Tabl
     if extras.kinds is not None:
         made["kinds"] = kind_table(extras.kinds, success_px)
         made["confidence"] = confidence_table(extras.kinds, success_px)
-    made["bounds"] = judge(list(extras.bounds), results=results, tables=made)
+    made["bounds"] = judge(extras.bounds, made, results)
     return {name: table for name, table in made.items() if len(table)}
 
 
@@ -95,6 +95,47 @@ def draw_figures(results: Results, made: Mapping[str, pd.DataFrame], params: Rep
             paths[name] = at / f"{name}.png"
             function(table, paths[name])
     return paths
+
+
+def all_sections(material: Material) -> list[Section]:
+    """Return the sections in the order of the page: how well, how measured, what falls short, and bounds last.
+
+    A section that needs a table which is not there is left out.
+    """
+    # Title, what makes the section, and the table that it needs.
+    makers: list[tuple[str, Maker, str | None]] = [
+        ("How well it works", shown.summary, None),
+        ("A rescued pair", _plain("example", "example"), None),
+        ("Successes", shown.successes, None),
+        ("Against every other estimator", shown.duels, "duels"),
+        ("Poses and distances", shown.poses, None),
+        ("Rankings", shown.rankings, None),
+        ("Calibration", shown.calibration, None),
+        ("Cascade", shown.cascade, CASCADE),
+        ("Turned and shrunk photographs", shown.changed, "changed"),
+        ("Time", _plain("time", "decision", "overhead", "estimators"), None),
+        ("Pairs", method.pairs, None),
+        ("How it was measured", method.method, None),
+        ("Hand-over", method.hand_over, "hand_over"),
+        ("Classifiers", method.classifiers, "classifiers"),
+        ("Roll", _plain("roll", "roll"), None),
+        ("Analysis", _plain("analysis", "steps", "ablations", "limits"), None),
+        ("Confidence", method.confidence, "confidence"),
+        ("Verification", method.statuses, None),
+        ("What limits the results", method.limits, "limits"),
+        ("Gallery", method.gallery, None),
+        ("Bounds", method.bounds, "bounds"),
+    ]
+    return [
+        Section(title=title, blocks=[block for block in make(material) if block])
+        for title, make, needed in makers
+        if needed is None or needed in material.tables
+    ]
+
+
+def _plain(name: str, *pictures: str) -> Maker:
+    """Return what makes a section of prose and pictures alone."""
+    return lambda m: iter([say(name), *(m.picture(one) for one in pictures)])
 
 
 def write_report(results: Results, params: ReportParams, extras: Extras, kind: str, out: Path) -> _Tables:

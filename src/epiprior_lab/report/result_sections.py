@@ -10,8 +10,7 @@ from epiprior_lab.pairsets.changed import EVERY
 from epiprior_lab.report import text
 from epiprior_lab.report.cascade import rule_in_words
 from epiprior_lab.report.material import CASCADE, Material, features_by_input, summary_table
-from epiprior_lab.report.page import Block, Table
-from epiprior_lab.report.prose import say
+from epiprior_lab.report.page import Block, Table, say
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, ENOUGH_RIGHT, PRECISIONS
 from epiprior_lab.report.text import ALL, OURS, group_title, input_title, interval, number, order_of, share, signed
 
@@ -189,8 +188,8 @@ def rankings(m: Material) -> Iterator[Block]:
     for group, part in m.groups_of("rankings"):
         rows.append([group_title(group, int(part["pairs"].max()))])
         for row in part.to_dict("records"):
-            ranking = text.RANKING_TITLES.get(row["ranking"], row["ranking"])
-            title = input_title(row["input"]) + ("" if row["ranking"] == "final" else f", {ranking}")
+            title = input_title(row["input"])
+            title += "" if row["ranking"] == "final" else f", {text.RANKINGS[row['ranking']].label}"
             cells = [f"{number(row[c])} / {number(row[f'scene_{c}'])}" for c in PRECISIONS]
             cells += [f"{row[name]:.0f}" for name in ("features", "matches", "right")] + [share(row["enough"])]
             rows.append([title, *cells, interval(row, "gain", lambda value: signed(value, 2))])

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from epiprior.types import FloatArray
 from epiprior_lab.evaluation.statistics import success_curve
-from epiprior_lab.report.text import INPUT_TITLES, RANKING_TITLES
+from epiprior_lab.report.text import INPUTS, Look
 
 INK = "#2b2f36"
 MUTED = "#7a828e"
@@ -25,80 +24,42 @@ CURVE_LIMIT_PX = 20.0
 DOTS: Mapping[str, Any] = {"mec": "white", "mew": 0.6, "zorder": 3}  # of dots with error bars
 
 _RC = rc_params_from_file(Path(__file__).parent / "templates" / "report.mplstyle", use_default_template=False)
-
-
-@dataclass(frozen=True)
-class Look:
-    """How one series is drawn: a colour from the palette of Okabe and Ito, or grey; line and marker of matplotlib."""
-
-    label: str
-    colour: str
-    line: Any = "-"
-    marker: str = "o"
-
-
-_INPUTS = {
-    "standard": ("#8b919b", ":", "s"),
-    "generalized": ("#cc79a7", (0, (1, 1)), "v"),
-    "snn": ("#0072b2", "--", "D"),
-    "adalam": ("#009e73", (0, (5, 1)), "P"),
-    "gms": ("#56b4e9", (0, (3, 1, 1, 1)), "X"),
-    "paper-standard": ("#8b919b", "-.", "<"),
-    "aliked": ("#2b2f36", (0, (7, 2)), "*"),
-    "disk": ("#8c5a2b", (0, (3, 2)), ">"),
-    "xfeat": ("#7d4fb2", (0, (1, 2)), "p"),
-    "paper": ("#e69f00", "-.", "^"),
-    "fast": ("#b35806", (0, (3, 1)), "d"),
-    "default": ("#d55e00", "-", "o"),
-}
-_RANKINGS = {
-    "lowe": ("#8b919b", ":", "s"),
-    "blogs": ("#56b4e9", "--", "D"),
-    "2keypoint": ("#009e73", "-.", "v"),
-    "sfm": ("#e69f00", (0, (5, 1)), "^"),
-    "final": ("#d55e00", "-", "o"),
-}
-INPUT_LOOKS: Mapping[str, Look] = {name: Look(INPUT_TITLES[name], *look) for name, look in _INPUTS.items()}
-RANKING_LOOKS: Mapping[str, Look] = {name: Look(RANKING_TITLES[name], *look) for name, look in _RANKINGS.items()}
-
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8b919b", "#2b2f36")
 Sharing = bool | Literal["row", "col"]
 
 
 @contextmanager
 def styled(
-    rows: int, columns: int, size: tuple[float, float], *, sharex: Sharing = False, sharey: Sharing = False
+    path: Path, rows: int, columns: int, size: tuple[float, float], *, sharex: Sharing = False, sharey: Sharing = False
 ) -> Iterator[tuple[Figure, list[list[Axes]]]]:
-    """Yield a figure of `rows` x `columns` axes in the common style, its size in inches; save it inside."""
+    """Yield a figure of `rows` x `columns` axes in the common style, its size in inches; then it is saved."""
     with mpl.rc_context(_RC):
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
         yield figure, [list(row) for row in axes]
+        save(figure, path)
 
 
-def save(figure: Figure, path: Path) -> Path:
+def save(figure: Figure, path: Path) -> None:
     """Write a PNG, or a JPEG for photographs, without metadata that would change from one installation to the next."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".jpg":
-        figure.savefig(path, pil_kwargs={"quality": 88})
-    else:
-        figure.savefig(path, metadata={"Software": None})
-    return path
+    how: Any = {"pil_kwargs": {"quality": 88}} if path.suffix == ".jpg" else {"metadata": {"Software": None}}
+    figure.savefig(path, **how)
 
 
 def legend(figure: Figure, looks: Sequence[Look], *, markers: bool = False, more: Sequence[Any] = ()) -> None:
     """Put one legend for all axes above them, with the markers of the series if these are drawn; `more` are handles."""
-    handles = []
-    for look in looks:
-        marker = look.marker if markers else ""
-        handles.append(Line2D([], [], color=look.colour, linestyle=look.line, marker=marker, ms=5, label=look.label))
+    handles = [
+        Line2D([], [], c=one.colour, ls=one.line, marker=one.marker if markers else "", ms=5, label=one.label)
+        for one in looks
+    ]
     handles += more
     rows = -(-len(handles) // 7)  # more do not fit side by side
     figure.legend(handles=handles, loc="outside upper center", ncols=-(-len(handles) // rows), handlelength=2.6)
 
 
-def looks_of(names: Sequence[str], looks: Mapping[str, Look] = INPUT_LOOKS) -> dict[str, Look]:
+def looks_of(names: Sequence[str], looks: Mapping[str, Look] = INPUTS) -> dict[str, Look]:
     """Return the looks of series in the order of `looks`; others are last and get a colour of the palette."""
     known = sorted(names, key=lambda name: list(looks).index(name) if name in looks else len(looks))
     return {name: looks.get(name) or Look(name, SERIES[k % len(SERIES)]) for k, name in enumerate(known)}

@@ -1,40 +1,55 @@
-"""Names and numbers as a reader sees them: one mapping of titles for all tables, figures and pages."""
+"""Names and numbers as a reader sees them: one mapping of titles and colours for all tables, figures and pages."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
+
+from epiprior_lab.evaluation.learned import LEARNED
 
 ALL = "all"
 OURS = "default"
 BASELINES = ("standard", "generalized")  # what an estimator gets without the preprocessing step
 DIFFICULTIES = ("easy", "medium", "hard")
 
-LEARNED_TITLES: Mapping[str, str] = {
-    "aliked": "ALIKED + LightGlue",
-    "disk": "DISK + LightGlue",
-    "xfeat": "XFeat + LighterGlue",
+RANKERS = ("adalam", "gms")  # peers on our features
+PEERS = (*RANKERS, *LEARNED)
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one series is drawn: a colour from the palette of Okabe and Ito, or grey; line and marker of matplotlib."""
+
+    label: str
+    colour: str
+    line: Any = "-"
+    marker: str = "o"
+
+
+INPUTS: Mapping[str, Look] = {
+    "standard": Look("X_L", "#8b919b", ":", "s"),
+    "generalized": Look("all similar", "#cc79a7", (0, (1, 1)), "v"),
+    "snn": Look("snn", "#0072b2", "--", "D"),
+    "adalam": Look("AdaLAM", "#009e73", (0, (5, 1)), "P"),
+    "gms": Look("GMS", "#56b4e9", (0, (3, 1, 1, 1)), "X"),
+    "paper-standard": Look("X_L of the printed method", "#8b919b", "-.", "<"),
+    "aliked": Look("ALIKED + LightGlue", "#2b2f36", (0, (7, 2)), "*"),
+    "disk": Look("DISK + LightGlue", "#8c5a2b", (0, (3, 2)), ">"),
+    "xfeat": Look("XFeat + LighterGlue", "#7d4fb2", (0, (1, 2)), "p"),
+    "paper": Look("ours, as printed", "#e69f00", "-.", "^"),
+    "fast": Look("ours, fast", "#b35806", (0, (3, 1)), "d"),
+    "default": Look("ours", "#d55e00", "-", "o"),
 }
-PEER_TITLES: Mapping[str, str] = {"adalam": "AdaLAM", "gms": "GMS", **LEARNED_TITLES}
-INPUT_TITLES: Mapping[str, str] = {
-    "standard": "X_L",
-    "generalized": "all similar",
-    "snn": "snn",
-    **PEER_TITLES,
-    "paper-standard": "X_L of the printed method",
-    "paper": "ours, as printed",
-    "fast": "ours, fast",
-    "default": "ours",
-}
-RANKING_TITLES: Mapping[str, str] = {
-    "lowe": "distance ratio (Lowe)",
-    "blogs": "similarity weight (BLOGS)",
-    "2keypoint": "2keypoints",
-    "sfm": "supporting F matrices",
-    "final": "final probability",
+RANKINGS: Mapping[str, Look] = {
+    "lowe": Look("distance ratio (Lowe)", "#8b919b", ":", "s"),
+    "blogs": Look("similarity weight (BLOGS)", "#56b4e9", "--", "D"),
+    "2keypoint": Look("2keypoints", "#009e73", "-.", "v"),
+    "sfm": Look("supporting F matrices", "#e69f00", (0, (5, 1)), "^"),
+    "final": Look("final probability", "#d55e00", "-", "o"),
 }
 METRIC_TITLES: Mapping[str, str] = {
     "precision_top_100": "precision of the top 100",
@@ -62,7 +77,7 @@ def baseline_of(name: str, names: Sequence[str]) -> str:
 
 def input_title(name: str) -> str:
     """Return an input as tables and figures call it."""
-    return INPUT_TITLES.get(name, name)
+    return INPUTS[name].label if name in INPUTS else name
 
 
 def group_title(group: str, pairs: int | None = None) -> str:

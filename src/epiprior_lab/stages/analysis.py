@@ -13,9 +13,6 @@ from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.params import load_study
 from epiprior_lab.report.analysis import write_analysis
 
-DATA = Path("data/analysis")
-OUT = Path("reports/analysis")
-
 
 def main() -> None:
     """Write ``data/analysis/*.csv`` and everything in ``reports/analysis``."""
@@ -40,20 +37,10 @@ def main() -> None:
         workers=default_workers(),
         store=Path("data/.tasks/analysis"),
     )
-    analysis.write(DATA)
+    analysis.write(Path("data/analysis"))
     with single_threaded():
-        write_analysis(
-            analysis,
-            Tables.read([Path(evaluate.out) / group for group in evaluate.groups]),
-            pairs,
-            OUT,
-            estimator=own.estimators[0],
-            thresholds_px=(report.success_px, report.strict_px),
-            quantiles=own.table_quantiles,
-            refined=own.refined_hypotheses,
-            draws=report.bootstrap_draws,
-            seed=report.seed,
-        )
+        evaluated = Tables.read([Path(evaluate.out) / group for group in evaluate.groups])
+        write_analysis(analysis, evaluated, pairs, Path("reports/analysis"), params)
 
 
 if __name__ == "__main__":

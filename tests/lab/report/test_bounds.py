@@ -30,7 +30,7 @@ def duels(*lows):
 
 
 def one(results, bound, **tables):
-    judged = judge([bound], results=results, tables=tables)
+    judged = judge([bound], tables, results)
     return judged.iloc[0], bound_rows(judged)[0]
 
 

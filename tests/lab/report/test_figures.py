@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from epiprior_lab.report import figures
+from epiprior_lab.report import figures, style
 from epiprior_lab.report.pictures import rescued_pair, rolled_pairs
 
 
@@ -11,7 +11,7 @@ from epiprior_lab.report.pictures import rescued_pair, rolled_pairs
 def drawn(monkeypatch):
     """The figures that are drawn, instead of files."""
     found = []
-    monkeypatch.setattr(figures, "save", lambda figure, path: found.append(figure) or path)
+    monkeypatch.setattr(style, "save", lambda figure, path: found.append(figure) or path)
     return found
 
 

@@ -1,7 +1,6 @@
 """A page as Markdown and as HTML."""
 
-from epiprior_lab.report.page import Page, Picture, Section, Table, render_html, render_markdown
-from epiprior_lab.report.prose import picture, say
+from epiprior_lab.report.page import Page, Picture, Section, Table, picture, render_html, render_markdown, say
 from html_reader import Reader
 
 HEAD, ROWS = ("who", "n"), [["all"], ["**a**", "1"]]

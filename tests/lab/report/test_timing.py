@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from epiprior_lab.report.bounds import Bound, judge
-from epiprior_lab.report.timing import overhead_table, seconds_table, write_timings
+from epiprior_lab.report.timing import decision_figure, decision_table, overhead_table, seconds_table, write_timings
 from synthetic_tables import timing_table
 
 WANTED = [
@@ -41,11 +41,11 @@ def test_overhead_is_a_ratio_of_means(study, timings):
 
 def test_time_bounds_are_medians_over_all_runs(study, timings):
     table = overhead_table(timings, study.results, 10.0)
-    judged = judge(WANTED, overhead=table)
+    judged = judge(WANTED, {"overhead": table})
     found = table[(table["group"] == "all") & (table["estimator"] == "all")].set_index("input")["median_overhead"]
     assert judged["found"].tolist() == [found["default"], found["cascade"]]
     assert judged["met"].tolist() == [found["default"] <= 2.0, True]
-    assert judge(WANTED).empty
+    assert judge(WANTED, {}).empty
 
 
 def test_seconds_by_outcome(timings):
@@ -69,3 +69,23 @@ def test_files(study, timings, tmp_path):
     text = (tmp_path / "times.md").read_text()
     assert "median time with preprocessing at most 2 times that without" in text
     assert "4 pairs, 4 estimators" in text
+
+
+def test_every_input_is_a_point(photographs, tmp_path):
+    results, timings = photographs.results, timing_table(photographs.results.tables)
+    table = decision_table(timings, results, (10.0, 3.0), usual="magsac++")
+    assert table["input"].drop_duplicates().tolist() == ["standard", "generalized", "snn", "aliked", "default"]
+    assert set(table.loc[table["choice"] == "usual", "input"]) == {
+        "standard",
+        "snn",
+        "default",
+    }  # others: best, or none
+    assert (table["pairs"] == results.hard_pairs.sum()).all()
+    row = table[table["input"] == "aliked"].iloc[0]
+    counts = {e: results.errors.of(e, "aliked", 10.0)[results.hard_pairs].sum() for e in ("usac", "magsac++")}
+    assert row["successes_10"] == max(counts.values()) == counts[row["estimator"]]
+    own = timings[(timings["input"] == "aliked") & (timings["estimator"] == row["estimator"])]
+    assert row["seconds_pair"] == pytest.approx(own["seconds_total"].median())
+    assert row["seconds_pair"] - row["seconds_shared"] == pytest.approx(0.5)  # of features
+    decision_figure(table, tmp_path / "decision.png")
+    assert (tmp_path / "decision.png").stat().st_size > 10_000
