@@ -55,7 +55,7 @@ class TwinParams:
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class MethodParams:
-    """What fills the database; `learned` matchers do it on plain bags of `learned_sizes`, with strangers, and twins."""
+    """What fills the database; `learned` matchers do it on plain bags of `learned_sizes`."""
 
     names: Listed[Filled]
     learned: Listed[Learned] | None

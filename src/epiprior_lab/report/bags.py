@@ -12,18 +12,28 @@ from epiprior_lab.bags.measure import INTRINSICS, SECONDS
 from epiprior_lab.bags.params import BagReportParams
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.compare import compare
-from epiprior_lab.report.page import Page, Section, Table
-from epiprior_lab.report.prose import picture, say
+from epiprior_lab.evaluation.learned import LEARNED
+from epiprior_lab.report.page import Page, Section, Table, picture, say
 from epiprior_lab.report.results import interval_columns
-from epiprior_lab.report.style import DOTS, INPUT_LOOKS, Look, label_grid, legend, save, styled
+from epiprior_lab.report.style import DOTS, label_grid, legend, styled
 from epiprior_lab.report.tables import write_table
-from epiprior_lab.report.text import ALL, DIFFICULTIES, LEARNED_TITLES, best_bold, interval, number, order_of, share
+from epiprior_lab.report.text import (
+    ALL,
+    DIFFICULTIES,
+    INPUTS,
+    Look,
+    best_bold,
+    interval,
+    number,
+    order_of,
+    share,
+)
 
 TITLE = "Structure from motion on bags of photographs"
 METHOD_TITLES: Mapping[str, str] = {
     "colmap": "COLMAP",
     "snn": "snn",
-    **LEARNED_TITLES,
+    **{name: INPUTS[name].label for name in LEARNED},
     "cascade": "cascade",
     "preprocess": "ours",
 }
@@ -166,10 +176,10 @@ def bag_figure(summary: _Frame, path: Path) -> None:
     methods = sorted(order_of(summary["method"]), key=list(METHOD_TITLES).index)
     looks = {}
     for name in methods:
-        look = INPUT_LOOKS[_LOOKS.get(name, name)]
+        look = INPUTS[_LOOKS.get(name, name)]
         looks[name] = Look(METHOD_TITLES[name], look.colour, "none", look.marker)
     y = np.arange(len(shown), dtype=np.float64)[::-1]
-    with styled(2, 2, (8.4, 0.55 * len(shown) * 2 + 1.2), sharex=True, sharey=True) as (figure, axes):
+    with styled(path, 2, 2, (8.4, 0.55 * len(shown) * 2 + 1.2), sharex=True, sharey=True) as (figure, axes):
         for axis_row, kind in zip(axes, INTRINSICS, strict=True):
             for axis, measure in zip(axis_row, _MEASURES, strict=True):
                 for k, (name, look) in enumerate(looks.items()):
@@ -183,7 +193,6 @@ def bag_figure(summary: _Frame, path: Path) -> None:
                 axis.set(xlim=(-0.02, 1.02), ylim=(-0.6, len(shown) - 0.4))
         label_grid(axes, rows=[f"{kind} intrinsics" for kind in INTRINSICS], columns=list(_MEASURES.values()))
         legend(figure, list(looks.values()), markers=True)
-        save(figure, path)
 
 
 def _by_selection(summary: _Frame) -> Iterator[Table]:

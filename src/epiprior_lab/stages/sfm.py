@@ -75,7 +75,7 @@ def measure_bags(bags: Sequence[Bag], params: SfmParams) -> list[BagRecord]:
     cases: list[tuple[Bag, str, dict[str, Any]]] = [(bag, name, {}) for bag in bags for name in params.methods.names]
     sizes = params.methods.learned_sizes or ()
     for peer in params.methods.learned or ():
-        own = [bag for bag in bags if bag.kind != PLAIN or bag.size in sizes]
+        own = [bag for bag in bags if bag.kind == PLAIN and bag.size in sizes]
         found = match_learned_bags(own, peer)
         cases += [(bag, peer, found[bag.name]) for bag in own if bag.name in found]
     tasks = []
