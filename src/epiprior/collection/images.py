@@ -79,7 +79,7 @@ def find_images(
     first_of: dict[str, str] = {}
     for path in files:
         try:
-            image, is_turned = _checked(root, path, masks)
+            image, by_exif = _checked(root, path, masks)
         except ImageError as error:
             bad.append(str(error))
             continue
@@ -88,7 +88,7 @@ def find_images(
             continue
         first_of[image.digest] = image.name
         images.append(image)
-        turned += [image.name] * is_turned
+        turned += [image.name] * by_exif
     if bad:
         more = f"; and {len(bad) - _MOST_NAMED} more" if len(bad) > _MOST_NAMED else ""
         raise ImageError("; ".join(bad[:_MOST_NAMED]) + more)

@@ -17,16 +17,8 @@ from epiprior.features.images import Image, read_image
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray, MatchSet
 
 # Eight hues that stay apart on a darkened photograph, also for the colour-blind (after Okabe and Ito).
-_HUES: tuple[Colour, ...] = (
-    (240, 228, 66),
-    (86, 180, 233),
-    (255, 140, 60),
-    (60, 200, 150),
-    (240, 130, 200),
-    (255, 255, 255),
-    (120, 150, 255),
-    (190, 240, 120),
-)
+_HEX = (0xF0E442, 0x56B4E9, 0xFF8C3C, 0x3CC896, 0xF082C8, 0xFFFFFF, 0x7896FF, 0xBEF078)
+_HUES: tuple[Colour, ...] = tuple((number >> 16, number >> 8 & 255, number & 255) for number in _HEX)
 _SMALLEST_PANEL = 480
 _SUBPIXEL_BITS = 4
 
@@ -80,8 +72,7 @@ def draw_matches(
 
     Images are files, or uint8 arrays of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, of any sizes; ImageError for
     others. `matches`, sorted best first, may be empty; they are coloured by probability, where that is NaN (standard
-    matches) by the distance ratio. The status and support of `estimate` are written above; its epipolar lines are drawn
-    where it has an F.
+    matches) by the distance ratio. Status and support of `estimate` are written above; lines are drawn where it has F.
     """
     settings = settings or DrawSettings()
     panels, shape = _lay_out(_read_rgb(image1), _read_rgb(image2), settings.max_panel_size)

@@ -25,7 +25,7 @@ reach it, cross-validated, and never below {floor}.
 ## Training data
 
 Estimates on {data[scenes]} blocks of rendered scenes that no ranker saw, {data[rankings]} pairs in all: {counts}.
-{data[confidence_rows]} rows, {data[confidence_right]} of a right F; half of them lack what matches of others may lack. The sha256 of rows
+{rows} rows, {positive} of a right F; half of them lack what matches of others may lack. The sha256 of rows
 and labels is `{data[sha256]}`.
 
 ## Measures
@@ -76,6 +76,8 @@ def export_confidence(
             floor=floor,
             accepted=accepted,
             data=data,
+            rows=data["confidence_rows"],
+            positive=data["confidence_right"],
             counts=", ".join(f"{count} {kind}" for kind, count in counts.items()),
             measures="\n".join(f"| {' | '.join(row)} |" for row in measured),
             versions=", ".join(f"{library} {number}" for library, number in manifest["library_versions"].items()),

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -38,7 +38,7 @@ def export_model(training: Path, folder: Path, preset: str) -> None:
 def write_folder(
     training: Path,
     folder: Path,
-    targets: Sequence[str],
+    targets: Iterable[str],
     entries: Mapping[str, Any],
     card: Callable[[Mapping[str, Any]], str],
 ) -> Mapping[str, Any]:
