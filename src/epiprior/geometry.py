@@ -104,8 +104,7 @@ def eight_point(x1: FloatArray, x2: FloatArray, weights: FloatArray | None = Non
     """Return the normalised (weighted) eight-point estimate (Hartley and Zisserman, algorithm 11.1).
 
     `x1` and `x2` are pixels, shape (N, 2), N >= 8; `weights`, shape (N,), >= 0, are of the squared algebraic residuals.
-    Returns shape (3, 3), as by `normalise_fundamental`; None for fewer than 8 matches of positive weight or where the
-    points decide nothing.
+    Returns (3, 3), as by `normalise_fundamental`; None below 8 matches of positive weight or where nothing is decided.
     """
     w = np.ones(len(x1)) if weights is None else np.ascontiguousarray(weights, dtype=np.float64)
     F = np.empty((3, 3))

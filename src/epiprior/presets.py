@@ -135,8 +135,7 @@ class PreprocessSettings:
     features : Section 4.1.
     max_distance_ratio : X_L keeps matches up to this d_r (section 4.1).
     roll_bandwidth_deg : Width of the kernel of the roll's density, degrees (section 4.2).
-    merge_rolls_deg : One roll hypothesis, 0, where alpha_exp is within this many degrees of it; 0: always both (section
-        4.2).
+    merge_rolls_deg : One roll hypothesis, 0, where alpha_exp is within so many degrees; 0: always both (section 4.2).
     min_cluster_similarity : Clusters stop merging below this similarity (section 4.2).
     max_matches_per_cluster_pair : Ours; see `putative_matches` (section 4.3).
     nearest, within, nearest_of_cluster : K_1, K_2 and K_3 (section 4.4).

@@ -38,16 +38,14 @@ def rank_matches(
     ----------
     image1, image2 : The photographs: a file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4)
         RGBA. None where features are handed in and no image is at hand.
-    preset : ``default``; ``fast``, half the features; ``thorough``, twice as many of larger images; or ``paper``, the
-        paper as printed.
+    preset : ``default``; ``fast``, half the features; ``thorough``, twice, of larger images; or ``paper``, as printed.
     features1, features2 : Features of the caller's own, instead of detected ones.
     settings : Instead of the preset's.
     model : Instead of the preset's own.
 
     Returns
     -------
-    One `MatchSet` per roll hypothesis, each sorted best first: by probability, then sfm, then d_r. Empty sets for
-    images without texture.
+    One `MatchSet` per roll hypothesis, sorted by probability, then sfm, then d_r; empty for images without texture.
 
     Raises
     ------

@@ -40,8 +40,7 @@ def read_settings_file(path: Path) -> dict[str, Any]:
 def parse_settings(where: str, values: object, usual: Settings) -> Settings:
     """Return a dataclass of settings with the values that a file names; the others are those of `usual`.
 
-    Raises SettingsError if the values are no object, name a field that does not exist, or are out of range; the message
-    begins `where`.
+    SettingsError, which begins `where`, if the values are no object, name an unknown field, or are out of range.
     """
     if not isinstance(values, dict):
         raise SettingsError(f"{where}: {type(values).__name__}, expected an object")

@@ -52,8 +52,7 @@ def estimate_fundamental(
         image larger than the preset's `max_image_size` (1024) is measured as if it had that size.
     features1, features2 : Used instead of detected ones, pixels of the images as given.
     ranked : From an earlier `rank_matches` on these images, to save the time.
-    hand_over : Instead of the one that was chosen on validation scenes for this estimator and input. A cascade has two
-        inputs and takes none.
+    hand_over : Instead of that chosen on validation scenes for this estimator and input; a cascade, of two, takes none.
     rule : Of the cascade, instead of the one that was chosen on validation scenes.
     settings : Instead of the preset's. Standard matches are made of the same features.
     min_confidence : The status is ``ok`` from this confidence on, in [0, 1], instead of the one that about one in a

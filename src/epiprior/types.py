@@ -59,8 +59,7 @@ class Features:
     xy : (N, 2) float64. Locations, pixels.
     scale : (N,) float64. Sigma, pixels, > 0. OpenCV's keypoint ``size`` is two sigma.
     orientation_deg : (N,) float64. Orientation, degrees in [0, 360).
-    descriptors : (N, D) float32. Descriptors at the features' own orientation; for SIFT as OpenCV gives them, not
-        normalised.
+    descriptors : (N, D) float32. At the features' own orientation; for SIFT as OpenCV gives them, not normalised.
     image_size : Width and height of the image, pixels, > 0.
 
     Raises
@@ -117,19 +116,14 @@ class MatchSet:
     orientation1_deg, orientation2_deg : (N,) float64. Orientation of both features, degrees.
     feature1, feature2 : (N,) int64. Index of the matched features, as found or handed in; a feature may take part in
         many matches. Features that differ only in orientation are one: all have the index of the first.
-    probability : (N,) float64. Probability that the match is right, in [0, 1]. For standard matches, which carry none,
-        it is NaN.
-    supporting_matrices : (N,) int64. How many rough fundamental matrices the match supports: the paper's ``sfm``
-        (section 4.5); 0 if none.
-    distance_ratio : (N,) float64. Ratio d_r of the angles to the nearest and the second nearest descriptor (section
-        4.1); 1 if missing.
+    probability : (N,) float64. Probability that the match is right, in [0, 1]; NaN for standard matches.
+    supporting_matrices : (N,) int64. How many rough matrices the match supports: the paper's ``sfm`` (section 4.5).
+    distance_ratio : (N,) float64. Ratio d_r of the angles to the two nearest descriptors (section 4.1); 1 if missing.
     similarity_weight : (N,) float64. Similarity weight t_k of BLOGS (section 4.1); 0 if missing.
     similarity : (N,) float64. Normalised cross-correlation of the descriptors at their own orientation, in [-1, 1].
-    two_keypoint_probability : (N,) float64. Highest probability of the 2keypoint matches that hold the match (section
-        4.4); 0 if none does.
+    two_keypoint_probability : (N,) float64. Highest of the 2keypoint matches that hold it (section 4.4); 0 if none.
     roll_deg : The roll hypothesis alpha under which X was made (section 4.2), degrees.
-    rough_matrices : (M, 3, 3) float64. The rough fundamental matrices that voted (section 4.5); empty for standard
-        matches.
+    rough_matrices : (M, 3, 3) float64. The rough fundamental matrices that voted (section 4.5); standard matches: none.
     image_sizes : Width and height of both images, pixels; None if unknown.
     """
 

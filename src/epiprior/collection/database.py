@@ -4,6 +4,7 @@ import contextlib
 import sqlite3
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -76,8 +77,8 @@ def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tup
     OutputError if it exists, also if it was made meanwhile, or cannot be written; the file appears as a whole.
     """
     pycolmap = check_colmap_output(path)
-    with replacing(path) as partial:
-        with _opened(path, pycolmap.Database.open(partial)) as database:
+    with replacing(path) as scratch:
+        with _opened(path, pycolmap.Database.open(scratch)) as database:
             numbers: dict[str, int] = {}
             ids: dict[str, int] = {}
             with pycolmap.DatabaseTransaction(database):
@@ -108,9 +109,9 @@ def _add_pairs(pycolmap: Any, database: Any, matched: MatchedCollection, ids: di
         for pair in matched:
             if not pair.geometry or pair.confidence < least or not len(pair.matches):
                 continue
+            how: dict[str, Any] = {"configuration": pair.geometry, "F": pair.F, "H": pair.H}
             both = ids[pair.image1], ids[pair.image2]
-            inliers = len(pair.matches)
-            add_pair(database, both, pair.matches, inliers=inliers, configuration=pair.geometry, F=pair.F, H=pair.H)
+            add_pair(database, both, pair.matches, inliers=len(pair.matches), **how)
             count += 1
     return count
 
@@ -151,11 +152,7 @@ def read_filled(path: Path, folder: Path | None, *, roots: int = 1) -> FilledDat
     if missing or not names:
         what = f"{missing[0]} has no descriptors" if missing else "there are no images in it"
         raise FeatureError(f"{path}: exists already, but {what}: run COLMAP's feature extraction, or name a new file")
-    pairs = frozenset(
-        tuple(sorted((names[number // _MOST_IMAGES], names[number % _MOST_IMAGES]))) for number in numbers
-    )
-    return FilledDatabase(
-        images=known_images(list(names.values()), folder, path),
-        features=lambda name: read_colmap_features(path, name, roots=roots),
-        verified=pairs,
-    )
+    pairs = (divmod(number, _MOST_IMAGES) for number in numbers)
+    verified = frozenset((min(names[a], names[b]), max(names[a], names[b])) for a, b in pairs)
+    images = known_images(list(names.values()), folder, path)
+    return FilledDatabase(images=images, features=partial(read_colmap_features, path, roots=roots), verified=verified)

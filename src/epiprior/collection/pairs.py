@@ -83,8 +83,7 @@ def similar_pairs(count: int, descriptors: Callable[[int], Float32Array], most: 
     """Return each image with the `most` others that are most alike by their visual words, each pair once.
 
     The words are learnt from the collection itself (spherical k-means, 4,096 words at most); an image is the square
-    root of its counts, weighted by how rare a word is, at unit length. Deterministic. Memory grows with the number of
-    images times that of words.
+    root of its counts, weighted by how rare a word is, at unit length. Memory grows with images times words.
     """
     share = max(1, _SAMPLE // max(count, 1))
     rng = np.random.default_rng(0)

@@ -97,8 +97,7 @@ def match_collection(
     work : A folder that keeps features and matches: with the same folder, a run that was killed goes on. Made if
         absent; by default a temporary one, which is removed with the result.
     workers : Processes; by default as many as this process may use cores.
-    scheduler : Address of a dask cluster, instead of processes; its workers need the same installation, and see images
-        and `work` under the same paths.
+    scheduler : Address of a dask cluster, instead of processes; its workers need this installation, and these paths.
     given : Returns the features of the image of a name, instead of detected ones.
     without : Pairs of names, in order, that are not matched.
     on_pair : Called with every pair, as it is ready.

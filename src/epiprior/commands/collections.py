@@ -217,20 +217,14 @@ def _exit_without(count: int, matched: "MatchedCollection") -> None:
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
     """Yield what shows bars with the time that is left on a terminal, and elsewhere a line every ten seconds."""
+    from rich import progress as bar
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
 
     console = Console(stderr=True)
     if console.is_terminal and _logger.isEnabledFor(logging.INFO):
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as bars:
+        columns = (bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn())
+        times = (bar.TimeElapsedColumn(), bar.TimeRemainingColumn())
+        with bar.Progress(*columns, *times, console=console) as bars:
             known: dict[str, Any] = {}
 
             def advance(stage: str, done: int, total: int) -> None:

@@ -85,11 +85,9 @@ def entries(value: Any, name: str = "") -> list[tuple[str, str]]:
 def summary(found: FundamentalEstimate) -> str:
     """Return an estimate in one line."""
     sure = f", confidence {found.confidence:.2f}" if math.isfinite(found.confidence) else ""
-    kind = f"geometry {found.geometry.value}"
-    support = (
-        f"{found.estimator}: {found.status.value}{sure}, {kind}, support {found.support} of {len(found.x1)} matches"
-    )
-    return f"{support}; {found.message}" if found.message else support
+    text = f"{found.estimator}: {found.status.value}{sure}, geometry {found.geometry.value}, "
+    text += f"support {found.support} of {len(found.x1)} matches"
+    return f"{text}; {found.message}" if found.message else text
 
 
 def print_estimate(found: FundamentalEstimate) -> None:

@@ -72,13 +72,8 @@ def draw_header(width: int, estimate: FundamentalEstimate | None, matches: int, 
         sure = f"confidence {estimate.confidence:.2f}, " if np.isfinite(estimate.confidence) else ""
         support = f"{sure}support {estimate.support} of {len(estimate.x1)} matches"
         _write(strip, support, (end, top), 0.6 * unit, INK, room=room - end)
-        details = (
-            estimate.message,
-            f"geometry {estimate.geometry.value}",
-            f"roll {estimate.roll_deg:.0f} deg",
-            estimate.version,
-        )
-        detail = ",  ".join(part for part in details if part)
+        facts = (f"geometry {estimate.geometry.value}", f"roll {estimate.roll_deg:.0f} deg", estimate.version)
+        detail = ",  ".join(part for part in (estimate.message, *facts) if part)
         _write(strip, detail, (left, bottom), 0.5 * unit, _FAINT, room=room)
     return strip
 

@@ -66,8 +66,7 @@ def draw_matches(
 
     Images are files, or uint8 arrays of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, of any sizes; ImageError for
     others. `matches`, sorted best first, may be empty; they are coloured by probability, where that is NaN (standard
-    matches) by the distance ratio. The status and support of `estimate` are written above; its epipolar lines are drawn
-    where it has an F.
+    matches) by the distance ratio. Status and support of `estimate` are written above; lines are drawn where it has F.
     """
     settings = settings or DrawSettings()
     panels, shape = lay_out(read_rgb(image1), read_rgb(image2), settings.max_panel_size)

@@ -1,7 +1,6 @@
 """Robust estimators of the fundamental matrix, each behind the same protocol.
 
-For every backend epiprior recomputes the mask, makes F rank 2 and of unit norm, tells its status, and knows whether the
-scene leaves F undecided.
+Of every backend epiprior recomputes the mask, makes F rank 2 and of unit norm, and judges whether F is decided.
 """
 
 from epiprior.estimators.protocol import Estimator, EstimatorSettings, RawModel

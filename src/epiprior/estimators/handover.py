@@ -32,8 +32,7 @@ class HandOver:
     max_distance_ratio : Only matches with d_r up to this, in (0, 1].
     threshold_px : Inlier threshold of the estimator, working pixels, > 0.
     collect : Collect support again over all one-to-one matches of the set, and let what they say for F
-        (`epiprior.estimators.evidence`) decide between roll hypotheses. False: the number of inliers among the matches
-        handed over (the paper).
+        (`epiprior.estimators.evidence`) decide between roll hypotheses. False: the inliers handed over (the paper).
     refine : Refine F on the matches that support is collected from, weighted by their probabilities.
 
     Raises

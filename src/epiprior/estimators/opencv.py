@@ -1,8 +1,7 @@
 """OpenCV's USAC framework: ``usac``, ``magsac++`` and ``gc-ransac``.
 
 All three sample progressively (PROSAC), so the order of the matches is the prior they use. The random draw depends on
-``UsacParams.randomGeneratorState`` only; ``cv2.setRNGSeed`` does nothing here. Works with OpenCV 4.13 and later, and
-with 5.
+``UsacParams.randomGeneratorState`` only; ``cv2.setRNGSeed`` does nothing here. Works from OpenCV 4.13 on, and with 5.
 """
 
 from dataclasses import dataclass

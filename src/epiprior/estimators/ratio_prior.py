@@ -1,9 +1,8 @@
 """A prior from the distance ratio alone: the mixture of inlier and outlier densities of BEEM (BEEM-style).
 
 The densities of d_r of right and of wrong nearest neighbours were learnt from rendered training scenes by kernel
-density estimation; the share of right matches is fitted per pair to the pair's own ratios. That BEEM does this is from
-memory: see Goshen and Shimshoni, Balanced exploration and exploitation model search for efficient epipolar geometry
-estimation, TPAMI 2008.
+density estimation; the share of right matches is fitted per pair to the pair's own ratios. That BEEM (Goshen and
+Shimshoni, TPAMI 2008) does this is from memory.
 """
 
 import numpy as np

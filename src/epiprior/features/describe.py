@@ -14,8 +14,7 @@ _CHUNK = 1_000
 def describe_frames(photograph: Photograph, frames: FloatArray) -> Float32Array:
     """Return SIFT descriptors of `frames` (x, y, sigma, orientation in degrees), shape (N, 128), working pixels.
 
-    They are nearly OpenCV's (`epiprior.kernels.descriptor`), on a scale space that is built once per photograph. The
-    number of threads changes nothing.
+    They are nearly OpenCV's (`epiprior.kernels.descriptor`), on a scale space that is built once per photograph.
     """
     descriptors = np.empty((len(frames), 128), np.float32)
     octave, layer = level_of(photograph, frames[:, 2])

@@ -94,9 +94,7 @@ def load_photograph(
 ) -> Photograph:
     """Read an image, or take a uint8 array (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, as grey values at working size.
 
-    A file is turned by its EXIF orientation unless `turn` is False. Where `mask`, (H, W), is False, the image counts as
-    transparent.
-
+    A file is turned by its EXIF orientation unless `turn` is False. Where `mask`, (H, W), is False, all is transparent.
     A photograph that was loaded at the same `max_image_size` (longer side, pixels) comes back as it is. ImageError if
     it was loaded at another size, the file is missing or no image, or the array is of another kind or empty.
     """

@@ -13,10 +13,8 @@ def unique_locations(features: Features) -> tuple[IntArray, IntArray]:
 
     Returns
     -------
-    first : ndarray, shape (L,), int64
-        Index of the first feature of each (location, scale), ascending; the detector lists the strongest first.
-    location : ndarray, shape (N,), int64
-        For each feature, the index into `first` of its (location, scale).
+    first : (L,) int64. Index of the first feature of each (location, scale), ascending: the detector's strongest.
+    location : (N,) int64. For each feature, the index into `first` of its (location, scale).
     """
     if not len(features):
         return np.empty(0, np.int64), np.empty(0, np.int64)

@@ -1,8 +1,7 @@
 """The one way to write into a COLMAP database, from which COLMAP or pycolmap maps without matching anything itself.
 
-COLMAP puts the centre of the top-left pixel at (0.5, 0.5): that half pixel is added here and nowhere else.
-Its mapper reads ``two_view_geometries``, yet counts a pair only where ``matches`` holds it too. So both are
-written.
+COLMAP puts the centre of the top-left pixel at (0.5, 0.5): that half pixel is added here and nowhere else. Its mapper
+reads ``two_view_geometries``, yet counts a pair only where ``matches`` holds it too: both are written.
 """
 
 import contextlib
@@ -54,8 +53,7 @@ def write_colmap_database(
     ----------
     path : The database; must not exist.
     pairs : Each pair of images at most once, in either order.
-    image_root : The folder that image names are relative to, COLMAP's ``image_path``; by default the deepest that holds
-        all.
+    image_root : The folder that image names are relative to, COLMAP's ``image_path``; by default the deepest of all.
 
     Raises
     ------
@@ -134,8 +132,7 @@ def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = 
     """Return what COLMAP calls the images, by absolute path, after checking that it will see them as we do.
 
     ImageError if an image is missing, no image, given twice, outside `image_root`, turned by its EXIF data (COLMAP,
-    which does not turn images, would see other coordinates), or has a name that is not UTF-8, which a database cannot
-    hold.
+    which does not turn images, would see other coordinates), or has a name that is not UTF-8.
     """
     paths = [_absolute(image) for image in images]
     if image_root is None:

@@ -72,14 +72,9 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
     if descriptors.type not in known:
         raise FeatureError(f"{where} is described by {descriptors.type.name}, epiprior needs SIFT")
     xy, scale, orientation = _colmap_frames(where, keypoints)
-    return _features(
-        where,
-        xy=xy - _HALF_PIXEL,
-        scale=scale,
-        orientation_deg=np.rad2deg(orientation),
-        descriptors=_without_roots(where, np.asarray(descriptors.data), roots),
-        image_size=(camera.width, camera.height),
-    )
+    plain, size = _without_roots(where, np.asarray(descriptors.data), roots), (camera.width, camera.height)
+    frames = {"xy": xy - _HALF_PIXEL, "scale": scale, "orientation_deg": np.rad2deg(orientation)}
+    return _features(where, **frames, descriptors=plain, image_size=size)
 
 
 def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> Features:
@@ -87,8 +82,7 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
 
     Two flaws of such files stay, so that F belongs to the locations that hloc works with. Its ``dog`` writes COLMAP's
     locations without taking their half pixel off: they lie half a pixel, of the size at which hloc extracted, too far
-    right and down. And hloc rounds to float16 unless told ``as_half=False``: beyond 1024 pixels only whole pixels are
-    left.
+    right and down. And hloc rounds to float16 unless told ``as_half=False``: to whole pixels beyond 1024.
 
     Parameters
     ----------
@@ -134,14 +128,9 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
         why = ": epiprior needs the scale and the orientation of each feature, which learned features lack; hloc's "
         why = "" if set(missing) - set(_HLOC_FRAMES) else f"{why}configuration 'sift' writes them"
         raise FeatureError(f"{where} has no {', '.join(missing)}{why}")
-    return _features(
-        where,
-        xy=data["keypoints"],
-        scale=data["scales"],
-        orientation_deg=data["oris"],
-        descriptors=_without_roots(where, data["descriptors"].T, roots),
-        image_size=tuple(data["image_size"].ravel().tolist()),
-    )
+    plain, size = _without_roots(where, data["descriptors"].T, roots), tuple(data["image_size"].ravel().tolist())
+    frames = {"xy": data["keypoints"], "scale": data["scales"], "orientation_deg": data["oris"]}
+    return _features(where, **frames, descriptors=plain, image_size=size)
 
 
 def hloc_names(file: Any) -> list[str]:

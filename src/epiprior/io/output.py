@@ -14,8 +14,7 @@ PICTURES = (".png", ".jpg", ".jpeg")
 def check_output(path: Path, suffixes: Sequence[str] = ()) -> None:
     """Raise OutputError, before any work is done, where `path` can never be written.
 
-    The suffix is not among the lower-case `suffixes` (none: any), the folder is missing or not writable, or it is a
-    folder.
+    Its suffix is not among the lower-case `suffixes` (none: any), its folder is missing or not writable, or it is one.
     """
     if suffixes and path.suffix.lower() not in suffixes:
         raise OutputError(f"{path}: unknown suffix {path.suffix!r}, known: {', '.join(suffixes)}")

@@ -11,8 +11,7 @@ A match adds at most a known value; once a hypothesis cannot reach the best scor
 With the best matches first this happens early. The result is the same as without. Residuals are Sampson distances r in
 the unit of the columns, see `epiprior.kernels.solvers`.
 
-References: MSAC, MLESAC: Torr and Zisserman, CVIU 2000; Guided-MLESAC: Tordoff and Murray, TPAMI 2005 (as we recall
-it).
+References: MSAC, MLESAC: Torr and Zisserman, CVIU 2000; Guided-MLESAC: Tordoff and Murray, TPAMI 2005 (from memory).
 """
 
 import math
@@ -33,8 +32,7 @@ def score(F, columns, gain, rest, kind, sigma, limit, floor, work):  # type: ign
     """Return the score of `F`, or some number <= `floor` where the score is not above it.
 
     `gain`, shape (N,): what each match adds at most, or its odds for `LIKELIHOOD`. `rest`: what the blocks from each
-    block on add at most, from `attainable`. `sigma`: t for `SUPPORT`. Matches farther than `limit` add nothing. `work`,
-    shape (2, BLOCK): scratch.
+    on add at most, from `attainable`. `sigma`: t for `SUPPORT`. Matches beyond `limit` add nothing; `work` is scratch.
     """
     n = columns.shape[1]
     limit_sq, total = limit * limit, 0.0

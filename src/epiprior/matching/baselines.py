@@ -64,14 +64,11 @@ def standard_matches(
 
     Parameters
     ----------
-    image1, image2 : path, ndarray, Photograph or None
-        The photographs; None only where features are handed in.
-    features : FeatureSettings
-        The paper's by default: plain SIFT, normalised cross-correlation.
-    max_distance_ratio : float
-        Matches with a higher d_r are left out.
-    features1, features2 : Features, optional
-        Used instead of detected ones, descriptors as SIFT gives them; `features` says how they are normalised.
+    image1, image2 : The photographs; None only where features are handed in.
+    features : The paper's by default: plain SIFT, normalised cross-correlation.
+    max_distance_ratio : Matches with a higher d_r are left out.
+    features1, features2 : Used instead of detected ones, descriptors as SIFT gives them; `features` says how they are
+        normalised.
     """
     settings = replace(PAPER, features=features, max_distance_ratio=max_distance_ratio)
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, ordered=True)
@@ -119,21 +116,17 @@ def generalized_matches(
 
     Parameters
     ----------
-    image1, image2, features, features1, features2
-        As for `standard_matches`.
-    ncc_threshold : float
-        Lowest normalised cross-correlation of two descriptors, in (-1, 1); SettingsError for a number out of its range.
-    max_candidates : int
-        Of the candidates of a feature, in either image, only so many, the most similar, are kept, >= 1. This limit is
-        ours: without it two brick walls give millions.
-    right_share : float
-        Probability, in (0, 1), that one of a feature's candidates is right; its candidates share it.
+    image1, image2, features, features1, features2 : As for `standard_matches`.
+    ncc_threshold : Lowest normalised cross-correlation of two descriptors, in (-1, 1); SettingsError for a number out
+        of its range.
+    max_candidates : Of the candidates of a feature, in either image, only so many, the most similar, are kept, >= 1.
+        This limit is ours: without it two brick walls give millions.
+    right_share : Probability, in (0, 1), that one of a feature's candidates is right; its candidates share it.
 
     Returns
     -------
-    MatchSet
-        `probability` is ``right_share / max(c1, c2)``, where c1 and c2 count the candidates of the two features. Sorted
-        by it, then by similarity. `distance_ratio` is 1 except for nearest neighbours.
+    Matches of `probability` ``right_share / max(c1, c2)``, where c1 and c2 count the candidates of the two features;
+    sorted by it, then by similarity. `distance_ratio` is 1 except for nearest neighbours.
     """
     if not -1 < ncc_threshold < 1:
         raise SettingsError(f"ncc_threshold is {ncc_threshold}, expected a number between -1 and 1")

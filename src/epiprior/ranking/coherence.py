@@ -5,8 +5,7 @@ candidate that lies where the match's own similarity transformation takes it? Ri
 other; a window that was taken for the next one agrees with the other features of that window only.
 
 References: agreement with the neighbourhood is what GMS (Bian et al., CVPR 2017) counts by cells and AdaLAM (Cavalli et
-al., ECCV 2020) by local affine maps, both among one candidate per feature. Weighing many candidates of each feature is
-ours.
+al., ECCV 2020) by local affine maps, both among one candidate per feature. Weighing many of each feature is ours.
 """
 
 import numpy as np

@@ -131,16 +131,12 @@ def find_model(name: str) -> Path:
 def load_model(name_or_path: str | Path) -> RankingModel:
     """Load a model, and check that it is whole.
 
-    Parameters
-    ----------
-    name_or_path : str or Path
-        A name for `find_model`, or a folder: a `Path`, or a string with a slash in it.
+    `name_or_path` is a name for `find_model`, or a folder: a `Path`, or a string with a slash in it.
 
     Raises
     ------
-    ModelError
-        If the folder or a file is missing, a file's hash is not the manifest's, the manifest is not JSON, misses
-        something or has an unknown schema, or its feature names do not fit the classifier. The message names the file.
+    ModelError : If the folder or a file is missing, a file's hash is not the manifest's, the manifest is not JSON,
+        misses something or has an unknown schema, or its feature names do not fit the classifier; it names the file.
     """
     is_name = isinstance(name_or_path, str) and not any(slash in name_or_path for slash in "/\\")
     folder = find_model(str(name_or_path)) if is_name else Path(name_or_path)

@@ -63,8 +63,7 @@ def neighbourhoods(
     """Find the neighbours of every feature by the paper's three methods; `scale` is sigma, in the unit of `xy`.
 
     The `nearest` (K_1) features; all features `within` so many sigma (K_2), but at most the nearest `max_within`; the
-    `nearest_of_cluster` (K_3) features of the same cluster. The paper has no limit of K_2; the largest features need
-    one.
+    `nearest_of_cluster` (K_3) features of the same cluster. The paper has no limit of K_2; large features need one.
     """
     n = len(xy)
     if n < 2:

@@ -129,8 +129,7 @@ def count_votes(
 ) -> tuple[IntArray, FloatArray]:
     """Count for each match the matrices it supports, the paper's sfm, and sum their weights (1 by default), shape (M,).
 
-    A match supports a matrix when its Sampson distance is below `threshold` pixels. The counts do not depend on the
-    number of threads.
+    A match supports a matrix when its Sampson distance is below `threshold` pixels; threads change no count.
     """
     votes, weighted = np.zeros(len(x1), np.int64), np.zeros(len(x1), np.float32)
     if not len(F) or not len(x1):

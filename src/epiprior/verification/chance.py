@@ -3,8 +3,7 @@
 The best of many hypotheses always finds supporters, even among pure noise: 11 of 100 random matches, measured. Whether
 a support means anything is a question of how many supporters random matches would give. How often one random match lies
 within the threshold of F is measured on the pair itself, by joining points of image 1 with points of image 2 that
-belong to other matches; this sees clustered points and epipoles inside the image, where a formula over the area of the
-image does not.
+belong to other matches; unlike a formula over the image's area, this sees clustered points and epipoles inside.
 
 References: the idea is that of a-contrario RANSAC (Moisan and Stival, IJCV 2004); the count of hypotheses is ours.
 """

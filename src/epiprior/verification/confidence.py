@@ -66,8 +66,7 @@ class Verdict:
 def judge(facts: Facts, kind: Geometry | None, model: ConfidenceModel, min_confidence: float | None = None) -> Verdict:
     """Return the verdict on an F by its facts.
 
-    `kind` is that of its best homography (`degeneracy.kind_of_homography`), None without one; `min_confidence` replaces
-    the model's.
+    `kind` is that of its best homography (`kind_of_homography`), if any; `min_confidence` replaces the model's.
     """
     right, flat = model.probabilities(facts)
     least = model.min_confidence if min_confidence is None else min_confidence

@@ -38,8 +38,7 @@ def analyse_pair(
 ) -> list[Record]:
     """Compare the variants on one pair with control points, and cameras or depths by which matches are labelled.
 
-    Unless `complete`, for easy pairs, on which nearly everything succeeds: only the steps and X alone, the latter with
-    all estimators.
+    Unless `complete`, for easy pairs, where nearly all succeeds: only the steps and X alone, that with all estimators.
     """
     presets = [find_preset(name) for name in ("paper", "default")]
     detected = [detect_pair(pair, preset.features) for preset in presets]

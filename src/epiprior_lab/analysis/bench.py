@@ -22,8 +22,7 @@ class AnalysisSettings:
 
     `estimator` runs on every variant; `others` on sfm alone and on all measures of easy pairs, and on probabilities and
     true labels of the others; `beyond` goes beyond the paper. `two_keypoint_counts` are K_2kp of the ablation. An
-    oracle refines `refined_hypotheses` of the truly best rough matrices; one with an error below `success_px` counts as
-    good.
+    oracle refines `refined_hypotheses` of the truly best rough matrices; good ones have an error below `success_px`.
     """
 
     estimator: str = "usac"

@@ -28,8 +28,7 @@ Voter = Callable[[MatchFrames, TwoKeypointMatches, FloatArray, PreprocessSetting
 class Proposals:
     """What precedes the votes, for one pair and one preset.
 
-    `candidates`, X and the matches of 2keypoints, and `probabilities`, that each of these is right, have one item for
-    each roll hypothesis.
+    `candidates` (X, matches of 2keypoints) and their `probabilities` have one item for each roll hypothesis.
     """
 
     prepared: PreparedPair

@@ -14,8 +14,7 @@ def source_files(path: Path, root: Path = SOURCE) -> frozenset[Path]:
     """Return all files below a source folder that are loaded when a file is imported or run.
 
     These are `path` (below `root` or elsewhere), the ``__init__.py`` of its packages, and all that they import,
-    directly or not, inside functions as well. A package with a module-level ``__getattr__`` counts whole where it, or a
-    name of it, is imported.
+    directly or not, inside functions as well. A package with a ``__getattr__`` counts whole where it is imported.
     """
     packages = path.relative_to(root).parents[:-1] if path.is_relative_to(root) else ()
     waiting = {path, *(root / folder / "__init__.py" for folder in packages)}

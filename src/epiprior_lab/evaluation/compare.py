@@ -16,8 +16,7 @@ POSE = "pose_deg"  # the larger of both angles
 class Rates:
     """A measure of every run by estimator and input, as arrays in the order of ``tables.pairs``.
 
-    `measure` is a column of `runs`, or `POSE`; a pair without a run counts as a failure. `scenes` names the scene of
-    each pair, unique across groups.
+    `measure` is a column of `runs`, or `POSE`; a pair without a run is a failure. `scenes` are unique across groups.
     """
 
     def __init__(self, tables: Tables, measure: str = "error_px") -> None:

@@ -86,8 +86,7 @@ def summarise(tables: Tables) -> pd.DataFrame:
     """Return one row per estimator and input.
 
     ``precision_100`` is the mean over labelled pairs, ``successes_<threshold>`` counts pairs (mean over seeds), and
-    ``scene_share`` is the share of successes at the first threshold per scene, mean over scenes: some scenes have many
-    pairs, which are alike.
+    ``scene_share`` is the share of successes at the first threshold per scene, mean over scenes.
     """
     rates = Rates(tables)
     final = tables.rankings[tables.rankings["ranking"] == "final"]

@@ -10,8 +10,7 @@
   have them, ``scale1, scale2, orientation1_deg, orientation2_deg``; all of length N. Features of the peer's own are
   counted in ``features`` (2,); else they are ours.
 
-Matches are kept in files, one per pair and input. This module imports no estimator, so that a changed estimator leaves
-stored matches as they are.
+Matches are kept in files, one per pair and input. This module imports no estimator: stored matches outlive changes.
 """
 
 from __future__ import annotations
@@ -131,8 +130,7 @@ def store_matches(
     """Match pairs in parallel and keep their matches in files in `folder`; a killed run continues.
 
     `inputs`, at least one, are names out of `INPUTS` or of peers, whose folder is `peers`. `files` decide the matches
-    beside the pairs' own images: the model files. DatasetError if there is no such folder, or a file in it is missing
-    or damaged.
+    beside the pairs' own images: the model files. DatasetError if the folder or a file in it is missing or damaged.
     """
     own = tuple(name for name in inputs if name in INPUTS)
     others = [name for name in inputs if name not in INPUTS]

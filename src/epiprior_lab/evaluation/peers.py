@@ -108,8 +108,7 @@ def write_peer_matches(
     """Write the matches of every peer and pair as ``out/PEER/PAIR_ID.npz``; a killed run continues.
 
     Without peers the folder stays empty. Scripts run in `environment`, where the peers are installed (SettingsError if
-    it is absent); `files` are what else decides the matches. Those of `LEARNED` find features of their own, the others
-    get ours.
+    it is absent); `files` are what else decides the matches. Those of `LEARNED` find own features, others get ours.
     """
     out.mkdir(parents=True, exist_ok=True)
     if not peers:

@@ -43,9 +43,8 @@ def each_run(
 ) -> Iterator[tuple[str, int, Result]]:
     """Yield input, seed and outcome for all inputs in `matches`, and for each of them all `seeds`.
 
-    `run` is `estimate_from_matches`, or takes the same. Each seed becomes a child seed of the pair, the same for every
-    input, so that differences are paired. A deterministic estimator runs once, and its outcome is repeated.
-    `hand_overs` are per input.
+    `run` is `estimate_from_matches`, or takes the same; `hand_overs` are per input. Each seed becomes a child seed of
+    the pair, so that differences are paired. A deterministic estimator runs once, and its outcome is repeated.
     """
     different = seeds[:1] if getattr(find_estimator(estimator), "deterministic", False) else seeds
     for name, sets in matches.sets.items():

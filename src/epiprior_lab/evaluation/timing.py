@@ -12,15 +12,7 @@ from typing import Any
 from epiprior.features.images import load_photograph
 from epiprior.types import FundamentalEstimate, Status
 from epiprior.verification.cascade import CascadeRule
-from epiprior_lab.evaluation.inputs import (
-    INPUTS,
-    PREPROCESSED,
-    PRESETS,
-    WITHOUT,
-    PairMatches,
-    match_pair,
-    peer_matches,
-)
+from epiprior_lab.evaluation import inputs
 from epiprior_lab.evaluation.learned import SCRIPT, time_learned
 from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.records import CASCADE, TimingRecord
@@ -43,19 +35,19 @@ def time_pair(
     Images are read anew for each input, since that is what a user pays. Inputs of peers are left out.
     """
     found: dict[tuple[str, int, str], tuple[TimingRecord, FundamentalEstimate]] = {}
-    for name in (name for name in protocol.all_inputs if name in INPUTS):
+    for name in (name for name in protocol.all_inputs if name in inputs.INPUTS):
         start = time.perf_counter()
         detected = detect_pair(pair)
         middle = time.perf_counter()
-        matches = match_pair(pair, (name,), detected=detected)
+        matches = inputs.match_pair(pair, (name,), detected=detected)
         features, matching = middle - start, time.perf_counter() - middle
         how: dict[str, Any] = {"group": group, "seeds": seeds, "features": features, "matching": matching}
         for record, estimate in _time_estimators(pair, protocol, matches, **how):
             found[record.estimator, record.seed, name] = record, estimate
     records = [record for record, _ in found.values()]
     for (estimator, seed, name), first in found.items():
-        second = found.get((estimator, seed, PREPROCESSED))
-        if name in WITHOUT and second is not None:
+        second = found.get((estimator, seed, inputs.PREPROCESSED))
+        if name in inputs.WITHOUT and second is not None:
             records.append(_cascade(first, second, rule))
     return records
 
@@ -79,10 +71,10 @@ def time_learned_pairs(
     records = []
     for (group, pair), columns, (features, matching) in zip(pairs, matched, seconds, strict=True):
         photographs = [load_photograph(path) for path in (pair.image1, pair.image2)]
-        found = replace(peer_matches(columns), image_sizes=(photographs[0].size, photographs[1].size))
+        found = replace(inputs.peer_matches(columns), image_sizes=(photographs[0].size, photographs[1].size))
         counts = (int(columns["features"][0]), int(columns["features"][1]))
         factors = photographs[0].factor, photographs[1].factor
-        matches = PairMatches(sets={peer: (found,)}, features={peer: counts}, pixel_factors=factors)
+        matches = inputs.PairMatches(sets={peer: (found,)}, features={peer: counts}, pixel_factors=factors)
         how: dict[str, Any] = {"group": group, "seeds": seeds, "features": features, "matching": matching}
         records += [record for record, _ in _time_estimators(pair, protocol, matches, **how)]
     return records
@@ -91,7 +83,7 @@ def time_learned_pairs(
 def _time_estimators(
     pair: Pair,
     protocol: Protocol,
-    matches: PairMatches,
+    matches: inputs.PairMatches,
     *,
     group: str,
     seeds: Sequence[int],
@@ -105,19 +97,11 @@ def _time_estimators(
         for _, seed, estimate in estimates(matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
             running = sum(estimate.seconds.values())
             record = TimingRecord(
-                group=group,
-                pair_id=pair.pair_id,
-                scene=pair.scene,
-                estimator=estimator,
-                input=name,
-                seed=seed,
-                seconds_features=features,
-                seconds_matching=matching,
-                seconds_estimator=running,
-                seconds_total=features + matching + running,
-                preprocessed=name in PRESETS,
+                group=group, pair_id=pair.pair_id, scene=pair.scene, estimator=estimator, input=name, seed=seed,
+                seconds_features=features, seconds_matching=matching, seconds_estimator=running,
+                seconds_total=features + matching + running, preprocessed=name in inputs.PRESETS,
                 error_px=error_px(estimate, truth),
-            )
+            )  # fmt: skip
             yield record, estimate
 
 
@@ -128,16 +112,10 @@ def _cascade(
     (before, estimate), (after, again) = first, second
     if rule.keeps(estimate):
         return replace(before, input=CASCADE)
-    features = before.seconds_features + (0.0 if before.input == "standard" else after.seconds_features)
-    matching = before.seconds_matching + after.seconds_matching
-    running = before.seconds_estimator + after.seconds_estimator
+    parts = ("seconds_features", "seconds_matching", "seconds_estimator")
+    seconds = {name: getattr(before, name) + getattr(after, name) for name in parts}
+    if before.input == "standard":
+        seconds["seconds_features"] = before.seconds_features
     back = estimate.status is Status.OK and again.status is not Status.OK
-    return replace(
-        after,
-        input=CASCADE,
-        seconds_features=features,
-        seconds_matching=matching,
-        seconds_estimator=running,
-        seconds_total=features + matching + running,
-        error_px=(before if back else after).error_px,
-    )
+    error_px = (before if back else after).error_px
+    return replace(after, input=CASCADE, **seconds, seconds_total=sum(seconds.values()), error_px=error_px)

@@ -1,7 +1,6 @@
 """What is known of a pair: points to measure at, an F to hold against, how its matches are labelled, how hard it is.
 
-How hard follows from the ground truth alone, the share of right matches in X_L: the success of an estimator would
-select for the result.
+How hard follows from the ground truth alone, the share of right matches in X_L: successes would select the result.
 """
 
 from dataclasses import dataclass, field

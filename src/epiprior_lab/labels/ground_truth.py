@@ -29,8 +29,7 @@ class LabelSettings:
 
     A reprojection error is allowed up to the larger of `tolerance_px` (> 0) and `tolerance_sigma` (>= 0) times the
     feature's sigma, since large features are located less well; a point is visible where depths differ relatively by
-    less than `depth_tolerance`, in (0, 1). Without depth, Sampson distances up to `epipolar_px` pixels (> 0) are
-    allowed.
+    less than `depth_tolerance`, in (0, 1). Without depth, Sampson distances are up to `epipolar_px` pixels (> 0).
     """
 
     tolerance_px: float = 3.0
@@ -68,8 +67,7 @@ def label_matches(
     With depth maps: where both reprojections are within ``max(tolerance_px, tolerance_sigma * sigma)`` and the point is
     visible in both images. With a homography: where both transfers are. Else: where the Sampson distance to the true F
     is below `epipolar_px`. A feature at the rim of an object may lie on the background, beside what it describes: where
-    a rim is within half a sigma (1 to 4 px), the depth on its other side may confirm the match as well. Sky is never
-    right.
+    a rim is within half a sigma (1 to 4 px), the depth on its other side may confirm it as well. Sky is never right.
 
     FeatureError if points have a wrong shape; DatasetError if files are damaged or nothing decides.
     """

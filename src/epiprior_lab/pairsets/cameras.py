@@ -23,8 +23,7 @@ class CameraError(EpipriorError, ValueError):
 class Camera:
     """A pinhole camera: `K` (3, 3), `width`, `height` in pixels, `R` (3, 3), `t` (3,) from world to camera.
 
-    CameraError if a shape is another, a value is not finite, focal length or size is not positive, or `R` is no
-    rotation.
+    CameraError for other shapes, a value that is not finite, no positive focal length or size, or `R` no rotation.
     """
 
     K: FloatArray

@@ -1,8 +1,7 @@
 """The confidence: how well it tells right F from wrong ones and from pairs that share nothing, and whether it holds.
 
 Rows of `KindRecord`; a true pair is ``right`` or ``wrong`` by the error of its F, or ``without F``. The scores of peers
-are on the same estimates: the number of inliers, as COLMAP asks for 15, and their share; COLMAP's verification is an
-estimator of its own.
+are on the same estimates: number and share of inliers; COLMAP's verification is an estimator of its own.
 """
 
 from collections.abc import Iterator, Mapping

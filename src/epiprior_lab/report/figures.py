@@ -255,8 +255,7 @@ def classifier_figure(table: pd.DataFrame, path: Path) -> None:
 def hand_over_figure(search: pd.DataFrame, path: Path) -> None:
     """Draw the search for hand-overs: a row per estimator, a column per setting, a line per input.
 
-    The height is what settings were chosen by: the mean of the pairs below 10 px and below 3 px. A ring marks what was
-    chosen in the end.
+    The height is what settings were chosen by: the mean of the pairs below 10 px and below 3 px. A ring marks a choice.
     """
     search = search.assign(score=(search["successes_10"] + search["successes_3"]) / 2)
     settings = [name for name in _SETTINGS if (search["step"] == name).any()]

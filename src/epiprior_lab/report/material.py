@@ -47,8 +47,7 @@ class Extras:
 class Material:
     """Everything that a report shows.
 
-    `tables` are by the names of their CSV files, `figures` paths relative to the page; those that there are. `kind` is
-    one of `report.TITLES`.
+    `tables` are by the names of their files, `figures` paths relative to the page; `kind` is one of `report.TITLES`.
     """
 
     results: Results

@@ -23,8 +23,7 @@ import epiprior
 class Table:
     """A table of texts; cells may hold Markdown, and a row of a single cell is a heading for the rows below it.
 
-    So many columns in front are `texts`, the others are numbers. The HTML folds the table under the title `fold`, if
-    any.
+    So many columns in front are `texts`, others numbers. The HTML folds the table under the title `fold`, if any.
     """
 
     head: Sequence[str]

@@ -162,8 +162,7 @@ def ranking_table(results: Results) -> pd.DataFrame:
 
     Columns: ``group, input, ranking, pairs, features`` (of an image), ``matches, right``; `PRECISIONS` and
     ``scene_<name>`` of each, averaged over scenes; ``enough``, the share of pairs with `ENOUGH_RIGHT` right matches or
-    more; and against X_L in the order of the distance ratio ``gain``, the difference of precision at 100, with the ends
-    of its 95 % interval.
+    more; ``gain``, the precision at 100 over X_L in the order of the distance ratio, with its 95 % interval.
     """
     columns = ["group", "pair_id"]
     index = pd.MultiIndex.from_frame(results.tables.pairs[columns])
@@ -295,9 +294,8 @@ def limits_table(results: Results, champion: str, success_px: float) -> pd.DataF
 def set_table(results: Results, known: Sequence[Any] = ()) -> pd.DataFrame:
     """Return one row per set or family; sets of `known` (`pairsets.KnownSet`) come first, absent ones included.
 
-    Columns: ``group, title, paper, state`` (``evaluated``, ``apart`` or ``not present``), ``pairs`` (as published
-    where not present), ``scenes``, ``labels`` (what decides that a match is right), ``points``, and pairs of each
-    difficulty.
+    Columns: ``group, title, paper, state`` (``evaluated``, ``apart``, ``not present``), ``pairs`` (as published where
+    not present), ``scenes``, ``labels`` (what decides that a match is right), ``points``, and pairs by difficulty.
     """
     by_name = {one.name: one for one in known}
     rows = []
@@ -358,8 +356,7 @@ def classifier_table(metrics: pd.DataFrame) -> pd.DataFrame:
     """Return each metric of each classifier, with folds by scene and by row.
 
     Columns: ``preset, target, family, metric``, then over all rows ``grouped``, ``ungrouped`` and ``calibrated``
-    (grouped, after calibration), and deviations over folds ``grouped_sd`` and ``ungrouped_sd``; NaN where there is
-    none.
+    (grouped, after calibration), and deviations over folds ``grouped_sd`` and ``ungrouped_sd``; NaN where unknown.
     """
     flags = metrics["grouped"].astype(str).str.lower().isin(["true", "1"])
     table = metrics.assign(fold=metrics["fold"].astype(str), grouped=flags)

@@ -6,8 +6,7 @@
 - ``rotation``: seen by a camera that only turns.
 - ``copy``: one photograph and a copy: recompressed, resized, cropped, framed or turned by a quarter.
 
-Planes and rotations are warped by the homographies of true cameras, then blurred, exposed and made noisy like rendered
-pairs.
+Planes and rotations are warped by the homographies of true cameras, then blurred, exposed and made noisy as others are.
 """
 
 from collections.abc import Callable, Mapping

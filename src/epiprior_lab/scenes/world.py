@@ -31,9 +31,8 @@ class World:
     (N,) is the texture's number; `triangle` and `cut_out` are 1 for a triangle, and where transparent texels are holes;
     `views` is the bit set of the views that show the face. `brightness` (N,) is a factor on top of the light, `mirror`
     (N,) how much of the surroundings a glass texel reflects. `levels` (T, MAX_LEVELS, 3) holds first texel, width and
-    height of each texture at each halving of its size; `texels` (M, 4) are red, green, blue, opacity (below 128: a
-    hole; 128 to 255: from glass to solid). `surroundings` (H, W, 3) are infinitely far, by elevation (zenith first) and
-    azimuth.
+    height of each texture at each halving of its size; `texels` (M, 4) are red, green, blue, opacity (below 128: hole;
+    128 to 255: glass to solid). `surroundings` (H, W, 3) are infinitely far, by elevation (zenith first) and azimuth.
     """
 
     corner: FloatArray
@@ -81,9 +80,8 @@ class WorldBuilder:
     ) -> None:
         """Add a parallelogram, or of a triangle the half beside the corner; see `World`.
 
-        `corner` is the top left one as seen from the front; the edges go to the right and downwards from there. `area`
-        is the part of the texture (left, top, right, bottom), fractions; beyond [0, 1] it repeats. `texture_frame`,
-        (3, 2), may take its place.
+        `corner` is the top left one as seen from the front; the edges go right and down. `area` is the part of the
+        texture (left, top, right, bottom), fractions, which repeats beyond [0, 1]; or `texture_frame` (3, 2) is given.
         """
         a, b = np.asarray(across, dtype=np.float64), np.asarray(down, dtype=np.float64)
         left, top, right, bottom = area

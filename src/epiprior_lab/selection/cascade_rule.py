@@ -81,8 +81,7 @@ def learn_rule(runs: pd.DataFrame, params: CascadeParams, *, success_px: float, 
     `runs` are those of `paired_runs` on validation scenes. At `success_px`, where the cascade gave a wrong answer
     instead of a right one, `CascadeParams.tolerance` is the share of all runs that may be lost; at `strict_px`, where
     it mostly gave a less exact one, `CascadeParams.strict_tolerance`. Runs that the cascade wins do not make up for
-    lost ones. Of equals the strictest. Few pairs decide, hence a margin: the rule with the next lower value must lose
-    no more than is tolerated either.
+    lost ones. Of equals the strictest. Few pairs decide, hence a margin: the next lower value must be tolerable too.
     """
     rules = candidate_rules(params)
     kept = kept_runs(runs, rules)

@@ -3,15 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pandas as pd
-
 from epiprior.verification.cascade import save_cascade_rule
 from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.evaluate import run_pairs
 from epiprior_lab.evaluation.inputs import PREPROCESSED, WITHOUT, model_files, store_matches
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, validation_pairs
 from epiprior_lab.evaluation.records import RunRecord, Tables, to_frame
-from epiprior_lab.params import StudyParams, load_study
+from epiprior_lab.params import load_study
 from epiprior_lab.report.cascade import cascade_figure, learnt_page
 from epiprior_lab.selection.cascade_rule import learn_rule, paired_runs
 
@@ -19,8 +17,9 @@ OUT = Path("reports")
 STORE = Path("data/.tasks/validation")  # where the stage `hand_over` left the matches
 
 
-def validation_runs(params: StudyParams) -> pd.DataFrame:
-    """Return the runs on validation scenes, without and with the preprocessing step."""
+def main() -> None:
+    """Write ``models/cascade.json`` and ``reports/cascade.{md,png}``."""
+    params = load_study()
     protocol, workers = make_protocol(params), default_workers()
     compared = {e: [n for n in names if n in (*WITHOUT, PREPROCESSED)] for e, names in protocol.inputs.items()}
     asked, files = protocol.all_inputs, model_files(MODELS, protocol.all_inputs)
@@ -29,17 +28,11 @@ def validation_runs(params: StudyParams) -> pd.DataFrame:
     for group, pairs in validation_pairs(params.scenes.families).items():
         matched = store_matches(pairs, asked, at, files=files, workers=workers, description=f"match {group}")
         records += run_pairs(pairs, matched, own, group=group, workers=workers, store=STORE)
-    return to_frame(RunRecord, records)
-
-
-def main() -> None:
-    """Write ``models/cascade.json`` and ``reports/cascade.{md,png}``."""
-    params = load_study()
-    own, report = params.evaluate, params.report
-    validation = paired_runs(validation_runs(params))
+    evaluate, report = params.evaluate, params.report
+    validation = paired_runs(to_frame(RunRecord, records))
     learnt = learn_rule(validation, params.cascade, success_px=report.success_px, strict_px=report.strict_px)
     save_cascade_rule(MODELS / "cascade.json", learnt.rule)
-    test = paired_runs(Tables.read([Path(own.out) / group for group in own.groups]).runs)
+    test = paired_runs(Tables.read([Path(evaluate.out) / group for group in evaluate.groups]).runs)
     runs = {"validation": validation, "test": test}
     cascade_figure(runs, learnt.rule, params.cascade, report.success_px, OUT / "cascade.png")
     page = learnt_page(learnt, params.cascade, report.success_px, report.strict_px, "cascade.png")

@@ -3,6 +3,7 @@
 import argparse
 import os
 from pathlib import Path
+from typing import Any
 
 from epiprior_lab.compute.tasks import SCHEDULER_VARIABLE, default_workers
 from epiprior_lab.evaluation.evaluate import evaluate
@@ -22,15 +23,9 @@ def main() -> None:
         os.environ[SCHEDULER_VARIABLE] = arguments.scheduler
     params, group = load_params(arguments.params), str(arguments.group)
     own, protocol = params.evaluate, make_protocol(params)
-    tables = evaluate(
-        pairs_of(own, group),
-        protocol,
-        group=group,
-        workers=default_workers(),
-        store=Path("data/.tasks") / Path(own.out).name / group,
-        files=model_files(MODELS, protocol.all_inputs),
-    )
-    tables.write(Path(own.out) / group)
+    store, files = Path("data/.tasks") / Path(own.out).name / group, model_files(MODELS, protocol.all_inputs)
+    how: dict[str, Any] = {"group": group, "workers": default_workers(), "store": store, "files": files}
+    evaluate(pairs_of(own, group), protocol, **how).write(Path(own.out) / group)
 
 
 if __name__ == "__main__":

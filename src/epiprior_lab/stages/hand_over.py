@@ -18,13 +18,10 @@ def main() -> None:
         estimator: tuple(name for name in names if name in INPUTS)
         for estimator, names in params.evaluate.inputs_by_estimator.items()
     }
+    pairs = [pair for pairs in validation_pairs(params.scenes.families).values() for pair in pairs]
+    files, store = model_files(MODELS, params.evaluate.all_inputs), Path("data/.tasks/validation")
     best, trials = search_hand_overs(
-        [pair for pairs in validation_pairs(params.scenes.families).values() for pair in pairs],
-        inputs=inputs,
-        params=params.hand_over,
-        files=model_files(MODELS, params.evaluate.all_inputs),
-        workers=default_workers(),
-        store=Path("data/.tasks/validation"),
+        pairs, inputs=inputs, params=params.hand_over, files=files, workers=default_workers(), store=store
     )
     MODELS.mkdir(exist_ok=True)
     save_hand_overs(MODELS / "hand_over.json", chosen_hand_overs(best))

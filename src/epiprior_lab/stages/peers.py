@@ -16,13 +16,8 @@ def main() -> None:
     parser.add_argument("--group", required=True)
     arguments = parser.parse_args()
     own, group = load_params(arguments.params).evaluate, str(arguments.group)
-    write_peer_matches(
-        pairs_of(own, group),
-        own.peers or (),
-        PEERS / group,
-        workers=default_workers(),
-        store=Path("data/.tasks/peers") / group,
-    )
+    store = Path("data/.tasks/peers") / group
+    write_peer_matches(pairs_of(own, group), own.peers or (), PEERS / group, workers=default_workers(), store=store)
 
 
 if __name__ == "__main__":

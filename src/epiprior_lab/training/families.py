@@ -96,8 +96,7 @@ class SupportVectors:
     """An SVM with Gaussian kernel on standardised columns, and Platt's sigmoid of its decision value.
 
     With ``x = (row - mean) / scale`` and the standardised support vectors v_s, shape (S, C), the decision value is
-    ``sum_s weights_s exp(-gamma |x - v_s|^2) + intercept``. The sigmoid's a and b are fitted on rows that the SVM was
-    not trained on.
+    ``sum_s weights_s exp(-gamma |x - v_s|^2) + intercept``. The sigmoid's a and b are fitted on rows held out.
     """
 
     mean: FloatArray

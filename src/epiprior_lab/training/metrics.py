@@ -20,8 +20,7 @@ def pair_metrics(probability: FloatArray, labels: BoolArray, pairs: Sequence[sli
     """Return `RANKING_METRICS` of each pair, shape (P, 2).
 
     `share`, shape (P,), in (0, 1], says which share of the pair's rows is here, a random sample: the top 100 of all
-    rows are estimated by the top 100 times that share. NaN for pairs without rows, and for the average precision of
-    pairs without a right row.
+    rows are estimated by the top 100 times that share. NaN without rows; average precision without a right row, too.
     """
     values = np.full((len(pairs), 2), np.nan)
     with config_context(assume_finite=True, skip_parameter_validation=True):

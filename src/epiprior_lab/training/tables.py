@@ -29,11 +29,9 @@ def write_training(folder: Path, comparisons: Sequence[Comparison]) -> None:
     for name, table in (("metrics", metrics_csv), ("curves", curves_csv), ("importances", importances_csv)):
         (folder / f"{name}.csv").write_text(table(comparisons), encoding="utf-8")
     data = [comparison.data for comparison in comparisons]
-    training_data: dict[str, Any] = {
-        "sha256": hashlib.sha256("".join(rows.digest() for rows in data).encode()).hexdigest(),
-        "scenes": len(np.unique(data[0].scene)),
-        "rankings": len(data[0].pairs),
-    }
+    sha256 = hashlib.sha256("".join(rows.digest() for rows in data).encode()).hexdigest()
+    training_data: dict[str, Any] = {"sha256": sha256, "scenes": len(np.unique(data[0].scene))}
+    training_data["rankings"] = len(data[0].pairs)
     summary: dict[str, Any] = {"training_data": training_data}
     parity: dict[str, Any] = {}
     for comparison in comparisons:
@@ -42,21 +40,13 @@ def write_training(folder: Path, comparisons: Sequence[Comparison]) -> None:
         training_data |= {f"{target}_rows": len(rows.rows), f"{target}_right": int(rows.labels.sum())}
         (folder / f"{target}.onnx").write_bytes(refit.onnx)
         parity |= {f"{target}_rows": refit.parity_rows, f"{target}_probability": refit.parity_probability}
-        measures = {
-            "mean": grouped.metrics,
-            "deviation": grouped.deviations(),
-            "calibrated": grouped.calibrated_metrics,
-        }
-        measures["ungrouped"] = comparison.ungrouped.metrics
-        summary[target] = {
-            "family": comparison.exported,
-            "columns": list(rows.columns),
-            "a": comparison.platt.a,
-            "b": comparison.platt.b,
-            "metrics": {
-                name: {key: float(found[name]) for key, found in measures.items() if np.isfinite(found[name])}
-                for name in METRICS
-            },
+        measures = {"mean": grouped.metrics, "deviation": grouped.deviations()}
+        measures |= {"calibrated": grouped.calibrated_metrics, "ungrouped": comparison.ungrouped.metrics}
+        summary[target] = {"family": comparison.exported, "columns": list(rows.columns)}
+        summary[target] |= {"a": comparison.platt.a, "b": comparison.platt.b}
+        summary[target]["metrics"] = {
+            name: {key: float(found[name]) for key, found in measures.items() if np.isfinite(found[name])}
+            for name in METRICS
         }
     np.savez(folder / "parity.npz", **parity)
     text = json.dumps(summary, indent=2, sort_keys=True, allow_nan=False)

@@ -54,17 +54,13 @@ def _run(comparison: Comparison, family: str, parameters: Mapping[str, Any]) -> 
         order = np.argsort(comparison.refit.importances)
         axes.barh([data.columns[i] for i in order], comparison.refit.importances[order])
         figures["importances.png"] = importances
+    onnx = comparison.refit.onnx if exported else None
     return Run(
         experiment=data.target,
         name=f"{comparison.preset}-{family}",
         tags={"preset": comparison.preset, "target": data.target, "family": family, "exported": str(exported).lower()},
-        parameters=parameters,
-        metrics=metrics,
-        folds=folds,
-        figures=figures,
-        onnx=comparison.refit.onnx if exported else None,
-        rows=data.rows[:_EXAMPLE_ROWS],
-    )
+        parameters=parameters, metrics=metrics, folds=folds, figures=figures, onnx=onnx, rows=data.rows[:_EXAMPLE_ROWS],
+    )  # fmt: skip
 
 
 def _figure(x: str, y: str) -> tuple[Figure, Any]:

@@ -14,8 +14,8 @@ from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior_lab.cli import app
 from epiprior_lab.labels.ground_truth import label_matches, reference_fundamental
 from epiprior_lab.pairsets import DatasetError, fundamental_from_cameras, importers, known_sets, read_pair_set, transfer
+from epiprior_lab.pairsets.changed import shrinking
 from epiprior_lab.pairsets.importers import find_match_files, find_pairs, find_sequences, find_usac, write_found
-from epiprior_lab.pairsets.importers.output import shrinking
 from epiprior_lab.pairsets.importers.sources import read_rows
 from pictures import save, texture
 from worlds import camera_at

@@ -42,8 +42,7 @@ def fit_pairs(x1: FloatArray, x2: FloatArray, *, click_px: float = 1.0) -> PairF
 
     None for fewer than eight points, or where they decide nothing (all on one line, or on one place). A point is far
     off where its distance is above both 3 `click_px` and 6 times the median distance. This is a hint, no proof: where
-    nearly all points lie on one plane, a wrong one may look like a point off the plane, which moves the epipole and
-    makes another point far off.
+    nearly all points lie on one plane, a wrong one looks like a point off it, and makes another one far off.
     """
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
     agreeing = np.ones(len(x1), dtype=bool)

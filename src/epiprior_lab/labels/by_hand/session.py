@@ -104,13 +104,9 @@ class LabelSession:
     def state(self) -> dict[str, Any]:
         """Return all that the page needs; DatasetError or LabelError if the file was damaged or exchanged since."""
         with self._lock:
-            return {
-                "images": [image.described() for image in self.images],
-                "file": self.out.name,
-                "points": [] if self._anew else self._read().tolist(),
-                "revision": self._revision(),
-                "judged_from": MIN_JUDGED,
-            }
+            state = {"images": [image.described() for image in self.images], "file": self.out.name}
+            points = [] if self._anew else self._read().tolist()
+            return state | {"points": points, "revision": self._revision(), "judged_from": MIN_JUDGED}
 
     def fit(self, points: Any) -> dict[str, Any]:
         """Return what `fit_pairs` finds on points as the page sends them, as values of JSON."""
@@ -119,12 +115,8 @@ class LabelSession:
         if found is None:
             return {"F": None}
         residuals = np.where(np.isfinite(found.residuals), found.residuals, 1e6)  # JSON knows no infinity
-        return {
-            "F": found.F.tolist(),
-            "residuals": residuals.tolist(),
-            "far_off": found.far_off.tolist(),
-            "one_plane": found.one_plane,
-        }
+        arrays = {"F": found.F, "residuals": residuals, "far_off": found.far_off}
+        return {name: array.tolist() for name, array in arrays.items()} | {"one_plane": found.one_plane}
 
     def save(self, points: Any, revision: Any) -> str:
         """Write points and the record, whole or not at all, and return the file's new revision.

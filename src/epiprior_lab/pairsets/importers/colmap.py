@@ -23,8 +23,7 @@ def find_colmap(
 
     `folder` holds a model (``cameras``, ``images`` and ``points3D`` as ``.bin`` or ``.txt``), or models in ``sparse``
     or ``sparse/0``, ``sparse/1``, ...; `images` is by default ``images`` in it or in one of the two folders above;
-    `scene` is by default the workspace's name. DatasetError if there is no pair, a model or photograph is missing, or a
-    file is damaged.
+    `scene` is by default the workspace's name. DatasetError for no pair, a missing model or photograph, or a bad file.
     """
     choice = choice or PairChoice()
     models = _models(need_folder(folder))

@@ -13,15 +13,8 @@ from numpy.typing import NDArray
 
 from epiprior.types import BoolArray, FloatArray
 from epiprior_lab.pairsets import DatasetError
+from epiprior_lab.pairsets.importers import sources
 from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, Pixels
-from epiprior_lab.pairsets.importers.sources import (
-    files_of,
-    image_of,
-    matches_of_mat,
-    read_mat,
-    read_rows,
-    split_matches,
-)
 
 _ON_A_PLANE = 0.9
 _PLANE_PX = 3.0
@@ -33,20 +26,20 @@ _Matches = tuple[FloatArray, FloatArray, NDArray[np.generic] | None, list[Pixels
 
 def _read_validation(path: Path) -> _Matches:
     """``validation.pts``, 6 x N: homogeneous points of A above those of B."""
-    points = getattr(read_mat(path).get("validation"), "pts", None)
+    points = getattr(sources.read_mat(path).get("validation"), "pts", None)
     if points is None:
         raise DatasetError(f"{path}: holds no validation.pts")
-    x1, x2 = matches_of_mat(path, points, "validation.pts")
+    x1, x2 = sources.matches_of_mat(path, points, "validation.pts")
     return x1, x2, None, None
 
 
 def _read_labelled_mat(path: Path) -> _Matches:
     """``img1``, ``img2``, ``data`` (6 x N: x1 y1 1 x2 y2 1), ``score`` and ``label``."""
-    content = read_mat(path)
+    content = sources.read_mat(path)
     missing = [name for name in ("img1", "img2", "data", "label") if name not in content]
     if missing:
         raise DatasetError(f"{path}: holds no {missing[0]}")
-    x1, x2 = matches_of_mat(path, content["data"], "data")
+    x1, x2 = sources.matches_of_mat(path, content["data"], "data")
     labels = np.ravel(content["label"])
     if len(labels) != len(x1):
         raise DatasetError(f"{path}: {len(labels)} labels for {len(x1)} matches")
@@ -55,8 +48,8 @@ def _read_labelled_mat(path: Path) -> _Matches:
 
 def _read_labelled_text(path: Path) -> _Matches:
     """Rows ``x1 y1 1 x2 y2 1 label``."""
-    rows = read_rows(path, (7,))
-    return *split_matches(rows), rows[:, 6], None
+    rows = sources.read_rows(path, (7,))
+    return *sources.split_matches(rows), rows[:, 6], None
 
 
 _VALIDATION = "_vpts.mat"
@@ -78,7 +71,7 @@ def find_match_files(name: str, folder: Path, *, origin: float = 0.0) -> list[Fo
     """
     pairs: dict[str, FoundPair] = {}
     for ending, read in MATCH_FILES[name].items():
-        for path in files_of(folder, f"*{ending}"):
+        for path in sources.files_of(folder, f"*{ending}"):
             stem = path.name.removesuffix(ending)
             if stem not in pairs and (ending == _VALIDATION or not path.name.endswith(_VALIDATION)):
                 pairs[stem] = _pair(path, stem, read(path), origin)
@@ -99,7 +92,9 @@ def _pair(path: Path, name: str, found: _Matches, origin: float) -> FoundPair:
         if _on_one_plane(x1, x2).mean() > _ON_A_PLANE:
             difficulty += "; all on one plane: they decide no F"
     if pixels is None:
-        image1, image2 = (Photograph(name=name + side, path=image_of(path.parent, name + side, path)) for side in "AB")
+        image1, image2 = (
+            Photograph(name=name + side, path=sources.image_of(path.parent, name + side, path)) for side in "AB"
+        )
     else:
         image1, image2 = (
             Photograph(name=name + side, path=path / side, develop=partial(np.copy, own))

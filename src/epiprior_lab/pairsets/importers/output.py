@@ -17,15 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from epiprior.errors import OutputError
 from epiprior.features.images import read_image
 from epiprior.types import FloatArray
-from epiprior_lab.pairsets import Camera, DatasetError, PairSet, image_size, read_pair_set, write_control_points
-from epiprior_lab.pairsets.files import (
-    CAMERA_COLUMNS,
-    PAIR_COLUMNS,
-    camera_row,
-    check_pixels,
-    write_matrix,
-    write_table,
-)
+from epiprior_lab.pairsets import Camera, DatasetError, PairSet, files, image_size, read_pair_set, write_control_points
+from epiprior_lab.pairsets.changed import shrinking
 from epiprior_lab.pairsets.homographies import grid_in_both, transfer
 
 Pixels = NDArray[np.uint8]
@@ -134,7 +127,7 @@ def check_photographs(photographs: Iterable[Photograph]) -> None:
         if name in known and known[name] != path:
             raise DatasetError(f"{known[name]} and {path} would both become images/{name}")
         if name not in known and (photograph.develop is None or path.is_file()):  # else part of a file, read with it
-            check_pixels(path)
+            files.check_pixels(path)
         known[name] = path
 
 
@@ -178,14 +171,14 @@ def _write(root: Path, pairs: Sequence[FoundPair], max_side: int) -> None:
                 if photograph.camera is not None:
                     K, (width, height) = new.to_new @ photograph.camera.K, new.size
                     scaled = replace(photograph.camera, K=K, width=width, height=height)
-                    camera_rows.append(camera_row(new.file, scaled))
+                    camera_rows.append(files.camera_row(new.file, scaled))
             image1, image2 = written[pair.image1.name], written[pair.image2.name]
             _write_truth(root, pair, image1, image2)
             pair_rows.append([pair.pair_id, image1.file, image2.file, pair.gt, pair.scene, pair.difficulty])
             advance()
-    write_table(root / "pairs.csv", PAIR_COLUMNS, pair_rows)
+    files.write_table(root / "pairs.csv", files.PAIR_COLUMNS, pair_rows)
     if camera_rows:
-        write_table(root / "cameras.csv", CAMERA_COLUMNS, camera_rows)
+        files.write_table(root / "cameras.csv", files.CAMERA_COLUMNS, camera_rows)
 
 
 def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
@@ -208,28 +201,20 @@ def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:
     return _Written(file, size, shrinking((width, height), size))
 
 
-def shrinking(old: tuple[int, int], new: tuple[int, int]) -> FloatArray:
-    """Return the 3 x 3 map of pixels when an image of size `old` becomes `new` (width, height): corners to corners."""
-    x, y = (after / before for before, after in zip(old, new, strict=True))
-    return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
-
-
 def _write_truth(root: Path, pair: FoundPair, image1: _Written, image2: _Written) -> None:
     to1, to2 = image1.to_new, image2.to_new
     points = None if pair.points is None else (transfer(to1, pair.points[0]), transfer(to2, pair.points[1]))
     if pair.homography is not None:
         H = to2 @ pair.homography @ np.linalg.inv(to1)
-        write_matrix(root / "homography" / f"{pair.pair_id}.txt", H)
+        files.write_matrix(root / "homography" / f"{pair.pair_id}.txt", H)
         if points is None:
             x1 = grid_in_both(H, image1.size, image2.size)
             points = x1, transfer(H, x1)
             if not len(x1):
-                raise DatasetError(
-                    f"pair {pair.pair_id!r}: the homography takes no point of {pair.image1.path} into "
-                    f"{pair.image2.path}"
-                )
+                where = f"{pair.image1.path} into {pair.image2.path}"
+                raise DatasetError(f"pair {pair.pair_id!r}: the homography takes no point of {where}")
     if pair.fundamental is not None:
         F = np.linalg.inv(to2).T @ pair.fundamental @ np.linalg.inv(to1)
-        write_matrix(root / "fundamental" / f"{pair.pair_id}.txt", F / np.linalg.norm(F))
+        files.write_matrix(root / "fundamental" / f"{pair.pair_id}.txt", F / np.linalg.norm(F))
     if points is not None:
         write_control_points(root / "control_points" / f"{pair.pair_id}.csv", *points)

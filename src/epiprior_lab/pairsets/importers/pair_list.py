@@ -36,8 +36,7 @@ def find_pairs(
     Names of images and of other files are relative to `images` and `truths`, by default the table's folder. `origin` is
     the coordinate of the centre of the top-left pixel in the files: 1 if they count as MATLAB does. `known` is the name
     of a known set: its number of pairs is checked, and it says what a scene is. DatasetError, with file and line, if
-    the table, an image or a file is missing or damaged, a row has no ground truth, or a known set has another number of
-    pairs.
+    the table, an image or a file is missing or damaged, a row has no ground truth, or the number of pairs is wrong.
     """
     sets = {one.name: one for one in known_sets()}
     if known is not None and known not in sets:
