@@ -11,7 +11,7 @@ COMMITTED = load_sfm_params(Path(__file__).parents[1] / PATH)
 PARAMS = SfmParams(
     bags=BagParams(seed=1, groups=("long",), per_scene={3: 2, 5: 1}, stranger_size=5),
     twins=COMMITTED.twins,
-    methods=COMMITTED.methods.__class__(names=("colmap", "preprocess"), learned=("aliked",), learned_sizes=(5,)),
+    methods=COMMITTED.methods,
     mapper=COMMITTED.mapper,
     report=COMMITTED.report.__class__(
         seed=0, bootstrap_draws=200, against="colmap", sizes=(3, 5), easy_share=0.5, hard_share=0.2

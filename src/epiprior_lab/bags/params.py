@@ -55,11 +55,12 @@ class TwinParams:
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class MethodParams:
-    """What fills the database; `learned` matchers do it on plain bags of `learned_sizes`."""
+    """What fills the database; `learned` matchers do it on bags of `learned_kinds`, plain ones of `learned_sizes`."""
 
     names: Listed[Filled]
     learned: Listed[Learned] | None
-    learned_sizes: Listed[Size] | None
+    learned_kinds: Listed[Literal["plain", "stranger", "twins"]]
+    learned_sizes: Listed[Size]
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -99,7 +100,7 @@ class SfmParams:
     report: BagReportParams
 
     def __post_init__(self) -> None:
-        for key, sizes in (("report.sizes", self.report.sizes), ("learned_sizes", self.methods.learned_sizes or ())):
+        for key, sizes in (("report.sizes", self.report.sizes), ("learned_sizes", self.methods.learned_sizes)):
             if unknown := sorted(set(sizes) - set(self.bags.per_scene)):
                 raise ValueError(f"{key}: {unknown[0]} is not among the sizes of bags.per_scene")
         if self.report.against not in self.methods.names:

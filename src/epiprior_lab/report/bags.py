@@ -65,7 +65,7 @@ def write_bag_report(records: _Frame, methods: Sequence[str], params: BagReportP
     sections = [
         Section(
             title="How well it works",
-            blocks=[say("sfm summary", sizes=sizes), small_table(summary, intruders, methods)],
+            blocks=[say("sfm summary", sizes=sizes), small_table(summary, intruders, methods, params.sizes)],
         ),
         Section(title="By size and difficulty", blocks=[picture("bags", "figures/bags.png"), *_by_selection(summary)]),
     ]
@@ -137,37 +137,32 @@ def intruder_table(records: _Frame) -> _Frame:
     return table.groupby(keys, sort=False)[sums].sum().reset_index()
 
 
-def small_table(summary: _Frame, intruders: _Frame, methods: Sequence[str]) -> Table:
-    """Return the table of the README: known intrinsics, all and hard bags, and what should not be registered."""
+def small_table(summary: _Frame, intruders: _Frame, methods: Sequence[str], sizes: Sequence[int]) -> Table:
+    """Return the table of the README: known intrinsics; bags of the sizes of totals, hard ones, strangers and twins."""
     known, strange = (table[table["intrinsics"] == INTRINSICS[0]].to_dict("records") for table in (summary, intruders))
     found = {(row["selection"], row["method"]): row for row in known}
     taken = {(row["kind"], row["method"]): row for row in strange}
     order = sorted(methods, key=list(METHOD_TITLES).index)
-    there = [name for name in order if (ALL, name) in found]
-    levels = [level for level in (ALL, "hard") if all((level, name) in found for name in there)]
+    there = [name for name in order if name in set(summary["method"])]
     head, columns = ["matches"], []
-    for level in levels:
-        own = [found[level, name] for name in there]
-        head.append(f"right, {level} ({own[0]['images']})")
-        columns.append(best_bold([row["registered"] - row["wrong"] for row in own], 0))
-    head.append(f"wrong, {ALL}")
-    columns.append([str(found[ALL, name]["wrong"]) for name in there])
-    for level in levels:
-        head.append(f"accuracy, {level}")
-        columns.append(best_bold([found[level, name]["accuracy"] for name in there], 2))
+    for level in (*(f"bags of {size}" for size in sizes), "hard"):
+        own = [found.get((level, name)) for name in there]
+        if not any(own):
+            continue
+        head += [f"{level}: right of {next(row['images'] for row in own if row)}", "wrong", "accuracy"]
+        columns.append(best_bold([row["registered"] - row["wrong"] if row else np.nan for row in own], 0))
+        columns.append([str(row["wrong"]) if row else "" for row in own])
+        columns.append(best_bold([row["accuracy"] if row else np.nan for row in own], 2))
     for kind, title, column, of in (
         (STRANGER, "strangers", "strangers", "others"),
         (TWINS, "twins joined", "taken", "bags"),
     ):
+        rows = [taken.get((kind, name)) for name in there]
         head.append(title)
-        own = [taken.get((kind, name), {}) for name in there]
-        columns.append([f"{row[column]} of {row[of]}" if row else "" for row in own])
+        columns.append([f"{row[column]} of {row[of]}" if row else "" for row in rows])
     cells = dict(zip(there, zip(*columns, strict=True), strict=True))
-    rows = []
-    for name in order:
-        why = "not on all bags" if name in set(summary["method"]) else "not present"
-        rows.append([METHOD_TITLES[name], *cells.get(name, (why, *[""] * (len(columns) - 1)))])
-    return Table(head=head, rows=rows)
+    absent = ("not present", *[""] * (len(columns) - 1))
+    return Table(head=head, rows=[[METHOD_TITLES[name], *cells.get(name, absent)] for name in order])
 
 
 def bag_figure(summary: _Frame, path: Path) -> None:

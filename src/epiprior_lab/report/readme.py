@@ -51,8 +51,9 @@ def render_readme(text: str, root: Path) -> str:
     if not (root / BAG_TABLES).is_dir():
         return text
     bags = [read_table(root / BAG_TABLES / f"{name}.csv", "intrinsics method") for name in ("summary", "intruders")]
-    methods = load_sfm_params(root / BAGS).methods
-    return _filled(text, "sfm", small_table(bags[0], bags[1], [*methods.names, *(methods.learned or ())]))
+    params = load_sfm_params(root / BAGS)
+    methods = [*params.methods.names, *(params.methods.learned or ())]
+    return _filled(text, "sfm", small_table(bags[0], bags[1], methods, params.report.sizes))
 
 
 def _filled(text: str, name: str, table: Table) -> str:

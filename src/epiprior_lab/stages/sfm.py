@@ -73,9 +73,9 @@ def measure_bags(bags: Sequence[Bag], params: SfmParams) -> list[BagRecord]:
     models = tuple(sorted(path for path in MODELS.rglob("*") if path.suffix in (".json", ".onnx")))
     common = {"mapper": params.mapper}
     cases: list[tuple[Bag, str, dict[str, Any]]] = [(bag, name, {}) for bag in bags for name in params.methods.names]
-    sizes = params.methods.learned_sizes or ()
+    kinds, sizes = params.methods.learned_kinds, params.methods.learned_sizes
     for peer in params.methods.learned or ():
-        own = [bag for bag in bags if bag.kind == PLAIN and bag.size in sizes]
+        own = [bag for bag in bags if bag.kind in kinds and (bag.kind != PLAIN or bag.size in sizes)]
         found = match_learned_bags(own, peer)
         cases += [(bag, peer, found[bag.name]) for bag in own if bag.name in found]
     tasks = []

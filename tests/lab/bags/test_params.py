@@ -31,6 +31,7 @@ def test_the_file_is_read_whole():
         ("bags", "more", 1, "more"),
         ("methods", "names", ["colmap", "orb"], "names"),
         ("methods", "names", ["snn"], "report.against: 'colmap' is not among"),
+        ("methods", "learned_kinds", ["odd"], "learned_kinds"),
         ("methods", "learned_sizes", [7], "learned_sizes: 7 is not among"),
         ("mapper", "seed", None, "seed"),
         ("mapper", "min_confidence", 1.5, "min_confidence"),

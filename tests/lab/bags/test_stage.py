@@ -48,7 +48,7 @@ def test_from_a_pair_set_to_a_page(root, monkeypatch):
     assert len(list(Path("data/sfm-twins").glob("*.jpg"))) == 4
     page = Path("reports/sfm/performance.md").read_text()
     assert "| ALIKED + LightGlue | not present |" in page
-    assert "| COLMAP | **3** | **3** | 0 |" in page
+    assert "| COLMAP | **3** | 0 | **1.00** | **3** | 0 | **1.00** |" in page
 
     monkeypatch.setattr("epiprior_lab.bags.measure.map_database", None)
     monkeypatch.setattr("epiprior_lab.bags.twins.draw_street", None)

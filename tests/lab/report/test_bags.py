@@ -69,13 +69,15 @@ def test_what_should_not_be_registered_is_counted(records):
 
 def test_the_small_table(records):
     summary, intruders = summary_table(records, PARAMS.report), intruder_table(records)
-    table = small_table(summary, intruders, METHODS)
-    head = ["matches", "right, all (16)", "right, hard (8)", "wrong, all", "accuracy, all", "accuracy, hard"]
-    assert table.head == [*head, "strangers", "twins joined"]
+    table = small_table(summary, intruders, [*METHODS, "disk"], PARAMS.report.sizes)
+    head = [f"{part}: right of {n}" for part, n in (("bags of 3", 6), ("bags of 5", 10), ("hard", 8))]
+    measures = [column for first in head for column in (first, "wrong", "accuracy")]
+    assert table.head == ["matches", *measures, "strangers", "twins joined"]
     assert table.rows == [
-        ["COLMAP", "8", "4", "0", "0.20", "0.20", "0 of 2", "2 of 2"],
-        ["ALIKED + LightGlue", "not on all bags", *[""] * 6],
-        ["ours", "**14**", "**6**", "2", "**0.50**", "**0.50**", "0 of 2", ""],
+        ["COLMAP", "4", "0", "0.20", "4", "0", "0.20", "4", "0", "0.20", "0 of 2", "2 of 2"],
+        ["ALIKED + LightGlue", "", "", "", "**10**", "0", "**0.50**", "", "", "", "1 of 2", ""],
+        ["DISK + LightGlue", "not present", *[""] * 10],
+        ["ours", "**5**", "1", "**0.50**", "9", "1", "**0.50**", "**6**", "2", "**0.50**", "0 of 2", ""],
     ]
 
 
@@ -87,7 +89,7 @@ def test_all_is_written_and_seconds_stand_apart(records, tmp_path):
     page = (tmp_path / "performance.md").read_text()
     assert "not present" not in page
     for text in (
-        "| ALIKED + LightGlue | not on all bags |",
+        "| ALIKED + LightGlue |  |  |  | **10** |",
         "**bags of 3: 2 bags, 2 scenes**",
         "### Inferred intrinsics",
     ):
