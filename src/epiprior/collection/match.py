@@ -56,11 +56,18 @@ def match_pair(
     inliers = np.flatnonzero(found.inliers) if geometry else np.empty(0, np.int64)
     rows = np.column_stack([_rows_of(first, found.x1[inliers]), _rows_of(second, found.x2[inliers])])
     return MatchedPair(
-        image1=images[0].name, image2=images[1].name, status=found.status.value, message=found.message,
-        geometry=geometry, confidence=found.confidence if found else float(bool(geometry)),
-        F=found.F if found else None, H=found.H, matches=rows[one_to_one_mask(*rows.T)],
-        input=found.input, seconds=time.perf_counter() - start,
-    )  # fmt: skip
+        image1=images[0].name,
+        image2=images[1].name,
+        status=found.status.value,
+        message=found.message,
+        geometry=geometry,
+        confidence=found.confidence if found else float(bool(geometry)),
+        F=found.F if found else None,
+        H=found.H,
+        matches=rows[one_to_one_mask(*rows.T)],
+        input=found.input,
+        seconds=time.perf_counter() - start,
+    )
 
 
 @functools.lru_cache(maxsize=8)  # pairs come image by image

@@ -97,11 +97,19 @@ def _time_estimators(
         for _, seed, estimate in estimates(matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
             running = sum(estimate.seconds.values())
             record = TimingRecord(
-                group=group, pair_id=pair.pair_id, scene=pair.scene, estimator=estimator, input=name, seed=seed,
-                seconds_features=features, seconds_matching=matching, seconds_estimator=running,
-                seconds_total=features + matching + running, preprocessed=name in inputs.PRESETS,
+                group=group,
+                pair_id=pair.pair_id,
+                scene=pair.scene,
+                estimator=estimator,
+                input=name,
+                seed=seed,
+                seconds_features=features,
+                seconds_matching=matching,
+                seconds_estimator=running,
+                seconds_total=features + matching + running,
+                preprocessed=name in inputs.PRESETS,
                 error_px=error_px(estimate, truth),
-            )  # fmt: skip
+            )
             yield record, estimate
 
 

@@ -28,9 +28,14 @@ def main() -> None:
     cases = plan_blocks(rendered_pairs(SPLIT, params.scenes.families), own.kinds, own.seed)
     hand_over, success_px = MODELS / "hand_over.json", params.report.success_px
     facts = collect_facts(
-        cases, own, load_hand_overs(hand_over), success_px=success_px, files=(*files, hand_over), workers=workers,
+        cases,
+        own,
+        load_hand_overs(hand_over),
+        success_px=success_px,
+        files=(*files, hand_over),
+        workers=workers,
         store=STORE,
-    )  # fmt: skip
+    )
     rows = confidence_rows(facts, own.seed)
     found = [compare({NAME: data}, params.train, workers, STORE)[NAME] for data in rows.values()]
     write_training(OUT, found)

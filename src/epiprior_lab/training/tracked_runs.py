@@ -59,8 +59,13 @@ def _run(comparison: Comparison, family: str, parameters: Mapping[str, Any]) -> 
         experiment=data.target,
         name=f"{comparison.preset}-{family}",
         tags={"preset": comparison.preset, "target": data.target, "family": family, "exported": str(exported).lower()},
-        parameters=parameters, metrics=metrics, folds=folds, figures=figures, onnx=onnx, rows=data.rows[:_EXAMPLE_ROWS],
-    )  # fmt: skip
+        parameters=parameters,
+        metrics=metrics,
+        folds=folds,
+        figures=figures,
+        onnx=onnx,
+        rows=data.rows[:_EXAMPLE_ROWS],
+    )
 
 
 def _figure(x: str, y: str) -> tuple[Figure, Any]:
