@@ -23,21 +23,11 @@ class ReadmeError(EpipriorError):
     """The README has not exactly one place for the table of results."""
 
 
-def update_readme(root: Path) -> bool:
-    """Write the table into ``README.md`` below the root of the repository; return whether the file changed.
+def render_readme(text: str, root: Path) -> str:
+    """Return a text with the table between the markers made anew, of the reports below `root`.
 
     A ReadmeError says that there is not exactly one place for it, a ReportError that the report lacks something.
     """
-    path = root / "README.md"
-    before = path.read_text(encoding="utf-8")
-    after = render_readme(before, root)
-    if after != before:
-        path.write_text(after, encoding="utf-8", newline="\n")
-    return after != before
-
-
-def render_readme(text: str, root: Path) -> str:
-    """Return a text with the table between the markers made anew; see `update_readme`."""
     places = len(_SECTION.findall(text))
     if places != 1:
         raise ReadmeError(f"README: {places} sections from `<!-- results -->` to `<!-- /results -->`, expected 1")
