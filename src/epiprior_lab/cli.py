@@ -79,9 +79,13 @@ def promote(
 @app.command()
 def readme(root: Annotated[Path, typer.Option(help="Root of the repository.")] = Path()) -> None:
     """Write the result tables of the README anew from the reports."""
-    from epiprior_lab.report.readme import update_readme
+    from epiprior_lab.report.readme import render_readme
 
-    typer.echo("README.md: tables written" if update_readme(root) else "README.md: its tables are those of the reports")
+    path = root / "README.md"
+    before = path.read_text(encoding="utf-8")
+    after = render_readme(before, root)
+    path.write_text(after, encoding="utf-8", newline="\n")
+    typer.echo("README.md: its tables are those of the reports" if after == before else "README.md: tables written")
 
 
 @app.command("check-lock")

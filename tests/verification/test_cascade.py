@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from epiprior.errors import SettingsError
+from epiprior.settings_file import find_settings_file
 from epiprior.types import Status
-from epiprior.verification.cascade import CascadeRule, find_cascade_rule, load_cascade_rule, save_cascade_rule
+from epiprior.verification.cascade import CascadeRule, load_cascade_rule, save_cascade_rule
 from synthetic import HEIGHT, WIDTH, make_pair, run
 
 
@@ -56,10 +57,9 @@ def test_bad_file_names_the_culprit(tmp_path, content, culprit):
 
 
 def test_without_a_file_the_defaults_hold(monkeypatch):
-    monkeypatch.setattr("epiprior.verification.cascade.find_cascade_rule", lambda: None)
+    monkeypatch.setattr("epiprior.verification.cascade.find_settings_file", lambda _: None)
     assert load_cascade_rule() == CascadeRule()
 
 
 def test_the_packaged_file_is_valid():
-    assert find_cascade_rule().name == "cascade.json"
-    assert load_cascade_rule() == load_cascade_rule(find_cascade_rule())
+    assert load_cascade_rule() == load_cascade_rule(find_settings_file("cascade.json"))

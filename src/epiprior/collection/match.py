@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 from scipy.spatial import cKDTree
 
-from epiprior.collection.features import StoredFeatures, first_rows, read_features
+from epiprior.collection.features import first_rows, read_features
 from epiprior.collection.images import CollectionImage
 from epiprior.collection.store import MatchedPair
 from epiprior.collection.workers import installation
@@ -22,6 +22,7 @@ from epiprior.two_view import estimate_fundamental
 from epiprior.types import Features, FloatArray, IntArray
 
 _SAME_PLACE_PX = 0.01
+_read = functools.lru_cache(maxsize=8)(read_features)  # pairs come image by image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,11 +69,6 @@ def match_pair(
         input=found.input,
         seconds=time.perf_counter() - start,
     )
-
-
-@functools.lru_cache(maxsize=8)  # pairs come image by image
-def _read(path: Path) -> StoredFeatures:
-    return read_features(path)
 
 
 def _rows_of(features: Features, xy: FloatArray) -> IntArray:

@@ -38,15 +38,10 @@ def load_cascade_rule(path: Path | None = None) -> CascadeRule:
     None: the file that comes with the models; where there is none, the defaults of `CascadeRule`. Raises SettingsError
     if the file cannot be read, or names a value that does not exist or is out of range.
     """
-    found = path if path is not None else find_cascade_rule()
+    found = path or find_settings_file("cascade.json")
     return CascadeRule() if found is None else parse_settings(str(found), read_settings_file(found), CascadeRule())
 
 
 def save_cascade_rule(path: Path, rule: CascadeRule) -> None:
     """Write what `load_cascade_rule` reads; the same rule gives the same bytes."""
     path.write_text(json.dumps(asdict(rule), indent=2, sort_keys=True) + "\n", encoding="utf-8", newline="\n")
-
-
-def find_cascade_rule() -> Path | None:
-    """Return the file that comes with the models; None if there is none."""
-    return find_settings_file("cascade.json")

@@ -1,4 +1,4 @@
-"""Success rates per pair, and paired comparisons of them: contributions, duels, margins."""
+"""Success rates per pair, and which pairs are compared."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,6 @@ import pandas as pd
 
 from epiprior.types import BoolArray, FloatArray
 from epiprior_lab.evaluation.records import DIFFICULTIES, Tables
-from epiprior_lab.evaluation.statistics import Comparison, paired_bootstrap
 
 ALL = "all"
 POSE = "pose_deg"  # the larger of both angles
@@ -52,18 +51,6 @@ class Rates:
     def of(self, estimator: str, name: str, threshold: float) -> FloatArray:
         """Return the share of seeds strictly below the threshold for each pair, shape (pairs,)."""
         return np.asarray((self.values(estimator, name) < threshold).mean(axis=1))
-
-
-def compare(
-    a: FloatArray, b: FloatArray, *, scenes: Sequence[str], draws: int, seed: int, by: BoolArray | None = None
-) -> Comparison:
-    """Compare two measures of the same pairs, as from `Rates.of`: `a` is ``without``, `b` is ``with_step``.
-
-    The bootstrap draws whole `scenes`, one name per pair. `by` tells which pairs are compared, as from `group_masks`.
-    """
-    member = np.ones(len(a), np.bool_) if by is None else by
-    own = [scene for scene, is_in in zip(scenes, member, strict=True) if is_in]
-    return paired_bootstrap(a[member], b[member], draws=draws, seed=seed, groups=own)
 
 
 def group_masks(pairs: pd.DataFrame, *, apart: Sequence[str] = ()) -> dict[str, BoolArray]:

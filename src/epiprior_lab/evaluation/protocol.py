@@ -80,8 +80,3 @@ def rendered_pairs(split: str, families: Sequence[str]) -> dict[str, tuple[Pair,
     """Return the rendered pairs of a split by family, with their control points."""
     scenes, points = Path("data/scenes") / split, Path("data/ground_truth") / split
     return {name: read_pair_set(scenes / name, points / name / "control_points").pairs for name in families}
-
-
-def validation_pairs(families: Sequence[str]) -> dict[str, tuple[Pair, ...]]:
-    """Return the rendered validation pairs by family, with their control points."""
-    return rendered_pairs("validation", families)

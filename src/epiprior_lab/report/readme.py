@@ -27,21 +27,11 @@ class ReadmeError(EpipriorError):
     """The README has not exactly one place for a table."""
 
 
-def update_readme(root: Path) -> bool:
-    """Write the tables into ``README.md`` below the root of the repository; return whether the file changed.
-
-    A ReadmeError says that there is not exactly one place for it, a ReportError that the report lacks something.
-    """
-    path = root / "README.md"
-    before = path.read_text(encoding="utf-8")
-    after = render_readme(before, root)
-    if after != before:
-        path.write_text(after, encoding="utf-8", newline="\n")
-    return after != before
-
-
 def render_readme(text: str, root: Path) -> str:
-    """Return a text with the tables between the markers made anew; see `update_readme`."""
+    """Return a text with the tables between the markers made anew, of the reports below `root`.
+
+    A ReadmeError says that there is not exactly one place for one, a ReportError that the report lacks something.
+    """
     report = load_params(root / PHOTOGRAPHS).report
     successes = read_table(root / TABLES / "successes.csv", _SUCCESSES)
     cascade = read_table(root / TABLES / "cascade.csv", _CASCADE)

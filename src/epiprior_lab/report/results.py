@@ -11,7 +11,7 @@ import pandas as pd
 from epiprior.errors import EpipriorError
 from epiprior.types import BoolArray, FloatArray, Status
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.evaluation.compare import POSE, Rates, compare, group_masks
+from epiprior_lab.evaluation.compare import POSE, Rates, group_masks
 from epiprior_lab.evaluation.records import Tables
 from epiprior_lab.evaluation.statistics import Comparison, Interval, paired_bootstrap
 from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, order_of
@@ -78,9 +78,9 @@ class Results:
                 yield name, self.masks[name]
 
     def compare(self, a: FloatArray, b: FloatArray, member: BoolArray, *key: str) -> Comparison:
-        """Compare two measures of pairs among those of `member`; `key` names the draw."""
-        seed = child_seed(self._seed, *key)
-        return compare(a, b, scenes=list(self.scenes), draws=self._draws, seed=seed, by=member)
+        """Compare two measures of pairs among those of `member`; whole scenes are drawn, and `key` names the draw."""
+        how: dict[str, Any] = {"draws": self._draws, "seed": child_seed(self._seed, *key)}
+        return paired_bootstrap(a[member], b[member], groups=self.scenes[member].tolist(), **how)
 
     def compare_scenes(self, a: FloatArray, b: FloatArray, *key: str) -> Comparison:
         """Compare two measures with one value per scene, as from `per_scene`."""

@@ -7,7 +7,7 @@ from epiprior.verification.cascade import save_cascade_rule
 from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.evaluate import run_pairs
 from epiprior_lab.evaluation.inputs import PREPROCESSED, WITHOUT, model_files, store_matches
-from epiprior_lab.evaluation.protocol import MODELS, make_protocol, validation_pairs
+from epiprior_lab.evaluation.protocol import MODELS, make_protocol, rendered_pairs
 from epiprior_lab.evaluation.records import RunRecord, Tables, to_frame
 from epiprior_lab.params import load_study
 from epiprior_lab.report.cascade import cascade_figure, learnt_page
@@ -25,7 +25,7 @@ def main() -> None:
     asked, files = protocol.all_inputs, model_files(MODELS, protocol.all_inputs)
     own, at = replace(protocol, inputs=compared, seeds=params.cascade.seeds), STORE / "matches"
     records = []
-    for group, pairs in validation_pairs(params.scenes.families).items():
+    for group, pairs in rendered_pairs("validation", params.scenes.families).items():
         matched = store_matches(pairs, asked, at, files=files, workers=workers, description=f"match {group}")
         records += run_pairs(pairs, matched, own, group=group, workers=workers, store=STORE)
     evaluate, report = params.evaluate, params.report

@@ -5,7 +5,7 @@ from pathlib import Path
 from epiprior.estimators.handover import INPUTS, save_hand_overs
 from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.inputs import model_files
-from epiprior_lab.evaluation.protocol import MODELS, validation_pairs
+from epiprior_lab.evaluation.protocol import MODELS, rendered_pairs
 from epiprior_lab.evaluation.records import write_frame
 from epiprior_lab.params import load_study
 from epiprior_lab.selection.hand_over_search import chosen_hand_overs, search_hand_overs, trial_table
@@ -18,7 +18,7 @@ def main() -> None:
         estimator: tuple(name for name in names if name in INPUTS)
         for estimator, names in params.evaluate.inputs_by_estimator.items()
     }
-    pairs = [pair for pairs in validation_pairs(params.scenes.families).values() for pair in pairs]
+    pairs = [pair for pairs in rendered_pairs("validation", params.scenes.families).values() for pair in pairs]
     files, store = model_files(MODELS, params.evaluate.all_inputs), Path("data/.tasks/validation")
     best, trials = search_hand_overs(
         pairs, inputs=inputs, params=params.hand_over, files=files, workers=default_workers(), store=store

@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from epiprior_lab.evaluation.compare import ALL, POSE, Rates, compare, group_masks
-from epiprior_lab.evaluation.statistics import paired_bootstrap
+from epiprior_lab.evaluation.compare import ALL, POSE, Rates, group_masks
 from synthetic_tables import APART, photograph_tables, study_tables
 
 
@@ -44,18 +43,6 @@ def test_groups_leave_out_what_is_apart():
     assert not (masks["hard"] & masks["scannet15"]).any()
     assert masks["scannet15"].sum() == 6
     assert masks["easy"].sum() + masks["medium"].sum() == 5  # one pair of strecha has no labels
-
-
-def test_a_comparison_is_the_paired_bootstrap_of_its_pairs():
-    rates = Rates(study_tables())
-    a, b = (rates.of("usac", name, 10.0) for name in ("standard", "default"))
-    mask = group_masks(rates.pairs)["open"]
-    found = compare(a, b, scenes=rates.scenes, draws=300, seed=4, by=mask)
-    scenes = [scene for scene in rates.scenes if scene.startswith("open/")]
-    assert found == paired_bootstrap(a[mask], b[mask], draws=300, seed=4, groups=scenes)
-    assert found.difference.value == pytest.approx(b[mask].mean() - a[mask].mean())
-    whole = compare(a, b, scenes=rates.scenes, draws=300, seed=4)
-    assert whole.without.value == pytest.approx(a.mean())
 
 
 def test_runs_are_unique():

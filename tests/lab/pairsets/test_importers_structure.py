@@ -212,7 +212,7 @@ def test_photographs_become_pairs_with_cameras(photographs, tmp_path, caplog):
 
 
 def test_photographs_are_checked_before_any_work(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr("epiprior_lab.pairsets.importers.pycolmap_run._match", lambda _: pytest.fail("work began"))
+    monkeypatch.setattr("epiprior_lab.pairsets.importers.photos._match", lambda _: pytest.fail("work began"))
     for name in ("._a.jpg", "._b.jpg"):
         (tmp_path / name).write_bytes(b"attributes")
     with pytest.raises(DatasetError, match="0 photographs, expected 3 or more"):

@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.records import Tables, right_column
-from epiprior_lab.evaluation.statistics import Interval
+from epiprior_lab.evaluation.statistics import Interval, paired_bootstrap
 from epiprior_lab.report import tables
 from epiprior_lab.report.report import read_results
 from epiprior_lab.report.results import ReportError, Results, read_table
@@ -257,3 +258,14 @@ def test_a_table_that_lacks_a_column_is_named(tmp_path):
         read_table(tmp_path / "a.csv", "x z")
     with pytest.raises(ReportError, match=r"b\.csv"):
         read_table(tmp_path / "b.csv", "x")
+
+
+def test_a_comparison_is_the_paired_bootstrap_of_its_pairs(study):
+    results = study.results
+    a, b = (results.errors.of("usac", name, 10.0) for name in ("standard", "default"))
+    mask = results.masks["open"]
+    found = results.compare(a, b, mask, "draw")
+    scenes = [scene for scene in results.errors.scenes if scene.startswith("open/")]
+    seed = child_seed(study.params.seed, "draw")
+    assert found == paired_bootstrap(a[mask], b[mask], draws=study.params.bootstrap_draws, seed=seed, groups=scenes)
+    assert found.difference.value == pytest.approx(b[mask].mean() - a[mask].mean())

@@ -14,7 +14,7 @@ from epiprior_lab.pairsets import Camera, DatasetError, image_size
 from epiprior_lab.pairsets.cameras import CameraError
 from epiprior_lab.pairsets.files import read_numbers
 from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of
-from epiprior_lab.pairsets.importers.pycolmap_run import Matched, mapping_options, matched
+from epiprior_lab.pairsets.importers.photos import Matched, mapping_options, matched
 from epiprior_lab.pairsets.importers.sources import files_of
 from epiprior_lab.pairsets.importers.structure import HALF_PIXEL, PairChoice, choose_pairs, views_of
 
