@@ -37,8 +37,7 @@ def views(folder, count=5):
         for shift, x, y, picture in hung:  # the nearest last
             left, right = max(0, x - k * shift), min(480, x - k * shift + 140)
             if left < right:
-                part = picture[: 300 - y, left - x + k * shift : right - x + k * shift]
-                view[y : y + 110, left:right] = part
+                view[y : y + 110, left:right] = picture[: 300 - y, left - x + k * shift : right - x + k * shift]
         save(folder / f"{k}.png", view)
     return folder
 
@@ -57,8 +56,7 @@ class FakeEstimation:
         x1, x2 = np.vstack([x1[:count], x1[:1]]), np.vstack([x2[:count], x2[1:2]])
         inliers = np.full(count + 1, self.status is Status.OK)
         about = {"x1": x1, "x2": x2, "inliers": inliers, "confidence": 1.0, "message": "as the test wants"}
-        found = make_estimate(PAIR, self.status, **about)
-        return replace(found, input="default")
+        return replace(make_estimate(PAIR, self.status, **about), input="default")
 
 
 def in_this_process(monkeypatch, estimation=None):

@@ -1,4 +1,8 @@
-"""The command line with a stand-in for the library, for tests of the commands."""
+"""The command line with a stand-in for the library, and programs of their own, for tests of the commands."""
+
+import os
+import subprocess
+import sys
 
 from typer.testing import CliRunner
 
@@ -12,6 +16,12 @@ PAIR = make_pair(seed=1)
 
 def run_command(*arguments):
     return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def run_python(code, **environment):
+    """Run code in a fresh interpreter, and return the program that ended well."""
+    command, where = [sys.executable, "-c", code], os.environ | environment
+    return subprocess.run(command, capture_output=True, text=True, check=True, env=where, timeout=300)
 
 
 def one_line(result):

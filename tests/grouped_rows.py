@@ -24,8 +24,7 @@ def make_rows(size: int = 2400, scenes: int = 12, seed: int = 0, target: str = "
             rng.normal(size=size),
         ]
     ).astype(np.float32)
-    logit = 2 * X[:, 1] + np.sin(3 * X[:, 2]) - 0.4 * X[:, 0] + level[code] - 0.5
-    y = logit + rng.logistic(size=size) > 0
+    y = 2 * X[:, 1] + np.sin(3 * X[:, 2]) - 0.4 * X[:, 0] + level[code] - 0.5 + rng.logistic(size=size) > 0
     pair = 2 * code + rng.integers(0, 2, size)
     samples = [
         Sample(scene=f"scene-{k // 2:02d}", pair=f"scene-{k // 2:02d}-{k % 2}", rows=X[pair == k], labels=y[pair == k],

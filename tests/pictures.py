@@ -17,6 +17,11 @@ def texture(width: int = 480, height: int = 360, seed: int = 0) -> NDArray[np.ui
     return np.clip(128 + 40 * total, 0, 255).astype(np.uint8)
 
 
+def smooth(seed: int, sigma: float = 2.0, width: int = 480, height: int = 360) -> NDArray[np.uint8]:
+    """A texture as smooth as a photograph."""
+    return np.asarray(cv2.GaussianBlur(texture(width, height, seed), (0, 0), sigma), dtype=np.uint8)
+
+
 def relief_pair(width: int = 480, height: int = 360, seed: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Two views of a wavy textured surface from cameras side by side: rows correspond."""
     left = texture(width, height, seed)

@@ -158,8 +158,7 @@ def make_frames(x1: FloatArray, x2: FloatArray, **columns: object) -> MatchFrame
 
 def make_putative(pairs: Iterable[tuple[int, int]], n1: int, n2: int) -> PutativeMatches:
     """Putative matches of pairs of features."""
-    rows = np.array(sorted(pairs), np.int64).reshape(-1, 2)
-    first, second = rows.T.copy()
+    first, second = np.array(sorted(pairs), np.int64).reshape(-1, 2).T.copy()
     counts = np.bincount(first, minlength=n1)
     return PutativeMatches(first, second, np.append(0, np.cumsum(counts)), counts, np.bincount(second, minlength=n2))
 

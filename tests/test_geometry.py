@@ -16,7 +16,7 @@ from epiprior.geometry import (
 from synthetic import make_pair
 
 
-def test_distances_are_those_of_the_plain_way():
+def test_distances_and_weighted_fits_are_those_of_the_plain_way():
     pair = make_pair()
     m = pair.matches
     wanted = [naive.sampson(pair.F, a, b) for a, b in zip(m.x1, m.x2, strict=True)]
@@ -26,9 +26,6 @@ def test_distances_are_those_of_the_plain_way():
     assert sampson_distance(pair.F, m.x1[:0], m.x2[:0]).shape == (0,)
     with pytest.raises(FeatureError, match=r"\(300, 2\) and \(299, 2\)"):
         sampson_distance(pair.F, m.x1, m.x2[1:])
-
-
-def test_a_weighted_fit_is_that_of_the_plain_way():
     pair = make_pair(inliers=60, outliers=10)
     m = pair.matches
     weights = np.random.default_rng(0).uniform(0.1, 1, 70)
@@ -57,13 +54,18 @@ def rough_start(pair, seed: int):
     return eight_point(x1 + rng.normal(0, 8.0, x1.shape), x2 + rng.normal(0, 8.0, x2.shape))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_rough_start_is_mended(seed):
-    pair = make_pair(inliers=60, outliers=200, seed=seed)
-    start = rough_start(pair, seed)
-    refined = refine_fundamental(start, pair.matches.x1, pair.matches.x2, pair.matches.probability)
-    assert pair.error_px(start) > 1.0
-    assert pair.error_px(refined) < 0.6
+def test_a_rough_start_is_mended_and_nearly_as_good_as_a_fit_to_the_right_matches():
+    errors = []
+    for seed in range(6):
+        pair = make_pair(inliers=60, outliers=200, seed=seed)
+        start, m = rough_start(pair, seed), pair.matches
+        once = eight_point(m.x1[pair.right], m.x2[pair.right])
+        refined = refine_fundamental(start, m.x1, m.x2, m.probability)
+        errors.append([pair.error_px(F) for F in (start, refined, once)])
+    start, refined, once = np.array(errors).T
+    assert start.min() > 1.0
+    assert refined.max() < 0.6
+    assert np.median(refined) < 1.5 * np.median(once)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -86,17 +88,6 @@ def test_weights_decide_between_two_motions():
     for move, weights in zip(moves, ([1.0, 0.02], [0.02, 1.0]), strict=True):
         F = refine_fundamental(pair.F, x1, x2, np.repeat(weights, 100))
         assert weighted_score(F, pair.control1, pair.control2 + move, np.ones(400)) > 300
-
-
-def test_it_is_better_than_one_unweighted_fit():
-    errors = []
-    for seed in range(8):
-        pair = make_pair(inliers=80, outliers=80, noise_px=0.7, seed=seed)
-        m = pair.matches
-        plain = eight_point(m.x1[pair.right], m.x2[pair.right])
-        errors.append((pair.error_px(plain), pair.error_px(refine_fundamental(pair.F, m.x1, m.x2, m.probability))))
-    once, refined = np.median(errors, axis=0)
-    assert refined < 1.2 * once
 
 
 def test_too_few_matches_return_the_start():

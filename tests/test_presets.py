@@ -4,24 +4,40 @@ from dataclasses import replace
 
 import pytest
 
+from epiprior.draw.pictures import DrawSettings
 from epiprior.errors import SettingsError
+from epiprior.estimators import EstimatorSettings
+from epiprior.estimators.handover import HandOver
 from epiprior.presets import DEFAULT, PRESETS, find_preset
+from epiprior.verification.cascade import CascadeRule
 
 
 @pytest.mark.parametrize(
-    ("settings", "name", "value"),
+    ("settings", "name", "values"),
     [
-        (DEFAULT.features, "detector", "magic"),
-        (DEFAULT.features, "max_image_size", 3),
-        (DEFAULT.features, "max_keypoints", 1),
-        (DEFAULT, "vote_threshold", -1.0),
-        (DEFAULT, "frame", "nothing"),
-        (DEFAULT, "nearest", float("nan")),
+        (DEFAULT.features, "detector", ["magic"]),
+        (DEFAULT.features, "max_image_size", [3]),
+        (DEFAULT.features, "max_keypoints", [1]),
+        (DEFAULT, "vote_threshold", [-1.0]),
+        (DEFAULT, "frame", ["nothing"]),
+        (DEFAULT, "nearest", [float("nan")]),
+        (EstimatorSettings(), "threshold_px", [0.0, float("nan")]),
+        (EstimatorSettings(), "confidence", [1.0]),
+        (EstimatorSettings(), "max_iterations", [0]),
+        (HandOver(), "top_k", [7, 300.0, True]),
+        (HandOver(), "max_distance_ratio", [0.0, float("nan")]),
+        (HandOver(), "threshold_px", [0.0, None]),
+        *((HandOver(), name, [1, "yes", None]) for name in ("one_to_one", "collect", "refine")),
+        (DrawSettings(), "max_matches", [0]),
+        (DrawSettings(), "epipolar_lines", [9]),
+        (DrawSettings(), "max_panel_size", [100]),
+        (CascadeRule(), "min_confidence", [-0.1, 1.1, float("nan"), None, True, "0.9"]),
     ],
 )
-def test_bad_settings_are_named(settings, name, value):
-    with pytest.raises(SettingsError, match=f"{name} is {value!r}"):
-        replace(settings, **{name: value})
+def test_bad_settings_are_named(settings, name, values):
+    for value in values:
+        with pytest.raises(SettingsError, match=f"{name} is {value!r}"):
+            replace(settings, **{name: value})
 
 
 def test_an_unknown_preset_is_named():

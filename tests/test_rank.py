@@ -11,21 +11,15 @@ from epiprior.geometry import sampson_distance
 from epiprior.matching import pair
 from epiprior.presets import DEFAULT, PAPER, FeatureSettings
 from epiprior.ranking import hypothesis
-from epiprior.ranking.models import load_model
 from pictures import relief_pair, rotated, texture
-from tiny_model import make_model
 
+PAIR = relief_pair()
 ROWS_CORRESPOND = np.array([[0, 0, 0], [0, 0, 1], [0, -1, 0]], float)
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    return load_model(make_model(tmp_path_factory.mktemp("models") / "default"))
-
-
-@pytest.fixture(scope="module")
 def ranked(model):
-    return epiprior.rank_matches(*relief_pair(), model=model)
+    return epiprior.rank_matches(*PAIR, model=model)
 
 
 def test_the_set_is_sorted_and_its_top_is_right(ranked):
@@ -40,9 +34,6 @@ def test_the_set_is_sorted_and_its_top_is_right(ranked):
     assert rows_agree.mean() < 0.9  # the tail holds the wrong ones
     assert best.supporting_matrices.max() > 500
     assert (best.two_keypoint_probability > 0).any()
-
-
-def test_every_step_is_timed(ranked):
     names = {"features", "standard matches", "roll", "fixed orientation", "clusters", "putative matches"}
     names |= {"coherence", "2keypoints", "2keypoint classifier", "votes", "probabilities"}
     assert set(ranked.seconds) == names
@@ -65,16 +56,15 @@ def test_rough_matrices_are_in_given_pixels(model):
 
 def test_same_input_same_bytes_whatever_the_threads(ranked, model, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 1)
-    again = epiprior.rank_matches(*relief_pair(), model=model)
+    again = epiprior.rank_matches(*PAIR, model=model)
     for one, two in zip(ranked.sets, again.sets, strict=True):
         for name in ("x1", "x2", "probability", "supporting_matrices", "rough_matrices"):
             assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
 
 
 def test_a_turned_image_is_matched_under_its_roll(model):
-    left, right = relief_pair()
-    turned, A = rotated(right, 37.0)
-    found = epiprior.rank_matches(left, turned, model=model)
+    turned, A = rotated(PAIR[1], 37.0)
+    found = epiprior.rank_matches(PAIR[0], turned, model=model)
     assert len(found.sets) == 2
     first = found.sets[0]
     assert abs(first.roll_deg - 37.0) < 4
@@ -88,26 +78,24 @@ def test_paper_preset_runs_both_hypotheses_always():
     rolls = pair.roll_hypotheses(prepared, PAPER)
     assert len(rolls) == 2
     assert rolls[1] == 0
-    found = hypothesis.find_candidates(prepared, 0.0, PAPER)
-    assert found.two_keypoints.descriptors.shape[1] == 6
+    assert hypothesis.find_candidates(prepared, 0.0, PAPER).two_keypoints.descriptors.shape[1] == 6
 
 
-def test_features_of_the_callers_own(model):
-    left, right = relief_pair()
-    own = [detect_features(load_photograph(image)) for image in (left, right)]
-    found = epiprior.rank_matches(left, right, features1=own[0], features2=own[1], model=model)
-    plain = epiprior.rank_matches(left, right, model=model)
-    np.testing.assert_array_equal(found.sets[0].probability, plain.sets[0].probability)
-    for column, features in (("1", own[0]), ("2", own[1])):
-        rows = getattr(found.sets[0], f"feature{column}")
-        np.testing.assert_array_equal(features.xy[rows], getattr(found.sets[0], f"x{column}"))
+def test_features_of_the_callers_own(model, ranked):
+    own = dict(
+        zip(("features1", "features2"), [detect_features(load_photograph(image)) for image in PAIR], strict=True)
+    )
+    found = epiprior.rank_matches(*PAIR, **own, model=model).sets[0]
+    np.testing.assert_array_equal(found.probability, ranked.sets[0].probability)
+    for side, features in enumerate(own.values(), start=1):
+        rows = getattr(found, f"feature{side}")
+        np.testing.assert_array_equal(features.xy[rows], getattr(found, f"x{side}"))
         assert rows.max() > len(np.unique(features.xy, axis=0)) - 1  # rows of features, not of locations
-    without = epiprior.rank_matches(None, None, features1=own[0], features2=own[1], model=model)
-    top = without.sets[0].take(slice(0, 100))
+    top = epiprior.rank_matches(None, None, **own, model=model).sets[0].take(slice(0, 100))
     assert (np.abs(top.x1[:, 1] - top.x2[:, 1]) < 2).mean() > 0.9
 
 
-def test_features_that_do_not_fit_are_named(model):
+def test_features_and_models_that_do_not_fit_are_named(model):
     left, right = relief_pair(240, 180)
     own = detect_features(load_photograph(left))
     short = replace(own, descriptors=own.descriptors[:, :64])
@@ -119,9 +107,6 @@ def test_features_that_do_not_fit_are_named(model):
     ):
         with pytest.raises(error, match=words):
             epiprior.rank_matches(*images, **features, model=model)
-
-
-def test_a_model_of_another_preset_is_named(model):
     with pytest.raises(ModelError, match=r"model default asks for .*preset paper .*: scale_change_diff"):
         epiprior.rank_matches(*relief_pair(240, 180), preset="paper", model=model)
 

@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epiprior import rank, two_view
+from calls import note_calls
+from epiprior import two_view
 from epiprior.errors import EstimatorError, ImageError, SettingsError
 from epiprior.estimators.handover import HandOver
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.geometry import sampson_distance
+from epiprior.matching import pair as matching
 from epiprior.presets import DEFAULT, FeatureSettings, find_preset
-from epiprior.ranking.models import load_model
 from epiprior.two_view import estimate_fundamental
 from epiprior.types import MatchSet, RankedMatches, Status
 from epiprior.verification.cascade import CascadeRule
 from pictures import relief_pair, texture
 from synthetic import make_pair
-from tiny_model import make_model
 
 LEFT, RIGHT = relief_pair(240, 180)
 KEEP_ALL = CascadeRule(min_confidence=0.0)
@@ -54,7 +54,7 @@ def ranking(monkeypatch):
     return state
 
 
-def test_ranked_matches_are_used_and_their_seconds_kept(ranking):
+def test_images_are_ranked_with_the_preset_and_ranked_matches_are_used(ranking):
     pair, picture = make_pair(), texture()
     ranked = ranked_of(pair.matches, pair.matches.take(slice(7)))
     estimate = estimate_fundamental(picture, picture, ranked=ranked)
@@ -62,22 +62,10 @@ def test_ranked_matches_are_used_and_their_seconds_kept(ranking):
     assert estimate.seconds["votes"] == 0.5
     assert estimate_fundamental(picture, picture, ranked=ranked, mode="standard").status is Status.TOO_FEW_MATCHES
     assert ranking["calls"] == []
-
-
-def test_images_are_ranked_with_the_preset(ranking):
     estimate = estimate_fundamental(texture(), texture(), preset="paper", estimator="prosac", threshold_px=2.5)
     assert [call["settings"].name for call in ranking["calls"]] == ["paper"]
     assert estimate.estimator == "prosac"
     assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 2.5)
-
-
-def test_identical_images_and_black_images():
-    picture = texture()
-    same = estimate_fundamental(picture, picture, mode="standard")
-    assert same.status is Status.DEGENERATE
-    assert "nothing moved" in same.message
-    black = np.zeros((200, 300), np.uint8)
-    assert estimate_fundamental(black, black, mode="standard").status is Status.TOO_FEW_MATCHES
 
 
 @pytest.mark.parametrize(
@@ -96,39 +84,37 @@ def test_options_that_are_unknown_or_contradict_each_other_are_refused_before_an
     assert ranking["calls"] == []
 
 
-def test_a_kept_estimate_is_the_one_on_standard_matches(ranking):
+def test_a_kept_estimate_is_the_one_on_standard_matches_and_what_was_ranked_before_is_used(ranking):
     kept = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_ALL)
     assert ranking["calls"] == []
     standard = estimate_fundamental(LEFT, RIGHT, mode="standard")
     assert kept.F.tobytes() == standard.F.tobytes()
     assert kept.input == "standard"
     assert set(kept.seconds) == set(standard.seconds)
+    good, poor = make_pair(), make_pair(inliers=7, outliers=0)
+    picture = texture()
+    kept = estimate_fundamental(picture, picture, mode="cascade", ranked=ranked_of(poor.matches, good.matches))
+    used = estimate_fundamental(picture, picture, mode="cascade", ranked=ranked_of(good.matches, poor.matches))
+    assert ranking["calls"] == []
+    assert (kept.input, used.input) == ("standard", "default")
+    assert good.error_px(used.F) < 0.6
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
 def test_what_is_not_kept_is_ranked_from_the_same_features(ranking, monkeypatch, preset):
-    detected = []
-
-    def detect(photograph, settings):
-        detected.append(settings)
-        return detect_features(photograph, settings)
-
-    monkeypatch.setattr("epiprior.matching.pair.detect_features", detect)
+    detected = note_calls(monkeypatch, matching, "detect_features")
     estimate = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE, preset=preset)
     assert len(detected) == 2
     (call,) = ranking["calls"]
     assert call["settings"] == find_preset(preset)
     assert len(call["features1"]) > 50
     assert call["features1"].image_size == call["features2"].image_size == (240, 180)
-    assert estimate.input == preset
-    assert estimate.status is Status.OK
+    assert (estimate.status, estimate.input) == (Status.OK, preset)
     assert {"standard input", "votes", "estimator"} <= set(estimate.seconds)
     assert estimate.seconds["votes"] == 0.5
 
 
-def test_shared_features_change_no_bit(tmp_path, monkeypatch):
-    model = load_model(make_model(tmp_path / "default"))
-    monkeypatch.setattr(rank, "load_model", lambda name: model)
+def test_shared_features_change_no_bit(tiny_model):
     twice = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE)
     once = estimate_fundamental(LEFT, RIGHT)
     assert twice.status is Status.OK
@@ -136,12 +122,15 @@ def test_shared_features_change_no_bit(tmp_path, monkeypatch):
     assert np.array_equal(twice.inliers, once.inliers)
 
 
-def test_settings_of_the_features_are_of_both_inputs(ranking):
+def test_a_threshold_and_the_settings_of_features_are_of_both_inputs(ranking):
     fewer = replace(DEFAULT, features=FeatureSettings(max_keypoints=60, max_image_size=200))
     estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE, settings=fewer)
     (call,) = ranking["calls"]
     assert call["settings"] is fewer
     assert 30 < len(call["features1"]) <= 70
+    for rule in (KEEP_ALL, KEEP_NONE):
+        estimate = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=rule, threshold_px=0.8)
+        assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.8)
 
 
 @pytest.mark.parametrize("estimator", ["usac", "generalized-ransac"])
@@ -152,8 +141,7 @@ def test_features_of_the_callers_own_are_used_on_both_inputs(ranking, monkeypatc
     options = {"estimator": estimator, "features1": own[0], "features2": own[1]}
     with_images = estimate_fundamental(LEFT, RIGHT, mode="standard", **options)
     assert with_images.status is Status.OK
-    without = estimate_fundamental(None, None, mode="standard", **options)
-    assert without.F.tobytes() == with_images.F.tobytes()
+    assert estimate_fundamental(None, None, mode="standard", **options).F.tobytes() == with_images.F.tobytes()
     estimate_fundamental(None, None, mode="cascade", rule=KEEP_NONE, **options)
     (call,) = ranking["calls"]
     assert call["features1"] is own[0]
@@ -168,30 +156,17 @@ def test_without_image_or_size_a_threshold_has_no_meaning(ranking):
     assert estimate_fundamental(None, None, ranked=ranked_of(sized, sized)).status is Status.OK
 
 
-def test_a_poor_estimate_is_better_than_none(ranking):
+def test_a_poor_estimate_is_better_than_none_and_else_the_reason_is_of_the_ranked_matches(ranking):
     ranking["matches"] = make_pair(inliers=7, outliers=0).matches
     estimate = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE)
     assert len(ranking["calls"]) == 1
     assert estimate.status is Status.OK
     assert estimate.input == "standard"
     assert "standard input" in estimate.seconds
-
-
-def test_where_neither_works_the_reason_is_of_the_ranked_matches(ranking):
     ranking["matches"] = make_pair(scene="plane", seed=2).matches
     estimate = estimate_fundamental(texture(), np.zeros((200, 300), np.uint8), mode="cascade")
     assert estimate.status in (Status.DEGENERATE, Status.NO_MODEL)
     assert estimate.input == "default"
-
-
-def test_a_cascade_uses_what_was_ranked_before(ranking):
-    good, poor = make_pair(), make_pair(inliers=7, outliers=0)
-    picture = texture()
-    kept = estimate_fundamental(picture, picture, mode="cascade", ranked=ranked_of(poor.matches, good.matches))
-    used = estimate_fundamental(picture, picture, mode="cascade", ranked=ranked_of(good.matches, poor.matches))
-    assert ranking["calls"] == []
-    assert (kept.input, used.input) == ("standard", "default")
-    assert good.error_px(used.F) < 0.6
 
 
 def test_generalized_ransac_has_an_input_of_its_own(ranking):
@@ -201,12 +176,6 @@ def test_generalized_ransac_has_an_input_of_its_own(ranking):
     second = estimate_fundamental(LEFT, RIGHT, estimator="generalized-ransac", mode="cascade", rule=KEEP_NONE)
     assert second.input == "default"
     assert ranking["calls"] == [{"settings": DEFAULT, "features1": None, "features2": None}]
-
-
-def test_a_threshold_is_for_both_inputs(ranking):
-    for rule in (KEEP_ALL, KEEP_NONE):
-        estimate = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=rule, threshold_px=0.8)
-        assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.8)
 
 
 @pytest.mark.parametrize(("rule", "taken"), [(KEEP_ALL, "standard"), (KEEP_NONE, "default")])

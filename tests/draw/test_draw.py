@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from epiprior import ImageError, OutputError, SettingsError, Status
+from epiprior import OutputError, Status
 from epiprior.draw.captions import draw_header, probability_colours
 from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
 from pictures import save, texture
@@ -21,7 +21,7 @@ def coloured(picture):
     return np.ptp(picture.astype(int), axis=2) > 40
 
 
-def test_epipolar_row_only_with_a_matrix():
+def test_epipolar_lines_have_a_row_with_a_matrix_and_pass_through_their_points():
     pair = make_pair(seed=1)
     with_lines = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair))
     without = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair, Status.NO_MODEL, message="nothing fits"))
@@ -30,32 +30,6 @@ def test_epipolar_row_only_with_a_matrix():
     assert with_lines.shape[1:] == (2 * 1024 + 8, 3)
     assert with_lines.shape[0] > without.shape[0] + 768
     assert without.shape == plain.shape
-
-
-def test_a_match_is_drawn_at_its_place_in_the_colour_of_its_probability():
-    x1, x2 = np.array([[100.0, 200.0]]), np.array([[700.0, 600.0]])
-    for probability in (0.1, 0.9):
-        picture = draw_matches(BLACK, BLACK, make_matches(x1, x2, np.array([probability])))
-        top = picture.shape[0] - 768
-        expected = np.array(probability_colours(np.array([probability]))[0])
-        for x, y in ((100, 200), (1024 + 8 + 700, 600)):
-            np.testing.assert_allclose(picture[top + y, x], expected, atol=2)
-        assert not coloured(picture[top:])[250:550, :90].any()
-
-
-def test_best_matches_only_and_one_per_feature():
-    rng = np.random.default_rng(0)
-    x1, x2 = rng.uniform(20, 700, (2, 60, 2))
-    matches = make_matches(x1, x2, np.linspace(1, 0.2, 60), feature1=np.arange(60) // 2)
-    few = draw_matches(BLACK, BLACK, matches, settings=DrawSettings(max_matches=1))
-    many = draw_matches(BLACK, BLACK, matches, settings=DrawSettings(max_matches=60))
-    only = draw_matches(BLACK, BLACK, matches.take(slice(0, 60, 2)), settings=DrawSettings(max_matches=60))
-    body = slice(many.shape[0] - 768, None)
-    assert coloured(many[body]).sum() > 5 * coloured(few[body]).sum()
-    np.testing.assert_array_equal(many[body], only[body])
-
-
-def test_epipolar_lines_pass_through_their_points():
     pair = make_pair(noise_px=0.0, outliers=0, seed=3)
     picture = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair), settings=DrawSettings(epipolar_lines=1))
     row = picture[-768:]
@@ -72,6 +46,29 @@ def test_epipolar_lines_pass_through_their_points():
 
 
 @pytest.mark.parametrize(
+    ("column", "value", "shown"), [("probability", 0.1, 0.1), ("probability", 0.9, 0.9), ("distance_ratio", 0.2, 0.8)]
+)
+def test_a_match_is_drawn_at_its_place_in_the_colour_of_its_probability_or_ratio(column, value, shown):
+    x1, x2 = np.array([[100.0, 200.0]]), np.array([[700.0, 600.0]])
+    picture = draw_matches(BLACK, BLACK, make_matches(x1, x2, **{column: np.array([value])}))
+    top = picture.shape[0] - 768
+    for x, y in ((100, 200), (1024 + 8 + 700, 600)):
+        np.testing.assert_allclose(picture[top + y, x], probability_colours(np.array([shown]))[0], atol=2)
+    assert not coloured(picture[top:])[250:550, :90].any()
+
+
+def test_best_matches_only_and_one_per_feature():
+    x1, x2 = np.random.default_rng(0).uniform(20, 700, (2, 60, 2))
+    matches = make_matches(x1, x2, np.linspace(1, 0.2, 60), feature1=np.arange(60) // 2)
+    few = draw_matches(BLACK, BLACK, matches, settings=DrawSettings(max_matches=1))
+    many = draw_matches(BLACK, BLACK, matches, settings=DrawSettings(max_matches=60))
+    only = draw_matches(BLACK, BLACK, matches.take(slice(0, 60, 2)), settings=DrawSettings(max_matches=60))
+    body = slice(many.shape[0] - 768, None)
+    assert coloured(many[body]).sum() > 5 * coloured(few[body]).sum()
+    np.testing.assert_array_equal(many[body], only[body])
+
+
+@pytest.mark.parametrize(
     ("shape1", "shape2"),
     [((10, 10), (768, 1024, 3)), ((3000, 4000), (480, 640)), ((900, 300), (300, 900)), ((8, 2000), (2000, 8))],
 )
@@ -85,25 +82,18 @@ def test_any_sizes_fit(shape1, shape2):
     assert coloured(picture[120:]).any()
 
 
-LARGE = np.zeros((1536, 2048), np.uint8)
-
-
-def test_large_images_are_scaled_with_their_points():
+def test_large_images_are_scaled_with_their_points_and_lines():
+    large = np.zeros((1536, 2048), np.uint8)
     small = draw_matches(BLACK, BLACK, make_matches([[100.0, 200.0]], [[300.0, 500.0]], np.array([0.9])))
-    twice = draw_matches(LARGE, LARGE, make_matches([[200.5, 400.5]], [[600.5, 1000.5]], np.array([0.9])))
+    twice = draw_matches(large, large, make_matches([[200.5, 400.5]], [[600.5, 1000.5]], np.array([0.9])))
     np.testing.assert_array_equal(small, twice)
-
-
-def test_large_images_are_scaled_with_their_lines():
     pair = make_pair(seed=3)
-    found = make_estimate(pair)
-    D = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
-    F = np.linalg.inv(D).T @ pair.F @ np.linalg.inv(D)
-    twice = replace(found, F=F, x1=2 * found.x1 + 0.5, x2=2 * found.x2 + 0.5)
-    none = pair.matches.take(slice(0, 0))
+    found, none = make_estimate(pair), pair.matches.take(slice(0, 0))
+    D = np.linalg.inv(np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]]))
+    scaled = replace(found, F=D.T @ pair.F @ D, x1=2 * found.x1 + 0.5, x2=2 * found.x2 + 0.5)
     small = draw_matches(BLACK, BLACK, none, found).astype(int)
     # Up to rounding to a sixteenth of a pixel.
-    assert np.abs(small - draw_matches(LARGE, LARGE, none, twice)).max() < 40
+    assert np.abs(small - draw_matches(large, large, none, scaled)).max() < 40
 
 
 def test_no_matches_and_points_outside():
@@ -111,11 +101,6 @@ def test_no_matches_and_points_outside():
     assert not coloured(draw_matches(BLACK, BLACK, empty)[120:]).any()
     outside = make_matches([[-900.0, 5.0], [5e9, 5.0]], [[10.0, 10.0], [10.0, 10.0]], np.array([0.9, 0.9]))
     assert not coloured(draw_matches(BLACK, BLACK, outside)[120:]).any()
-
-
-def test_standard_matches_are_coloured_by_distance_ratio():
-    picture = draw_matches(BLACK, BLACK, make_matches([[50.0, 50.0]], [[50.0, 50.0]], distance_ratio=np.array([0.2])))
-    np.testing.assert_allclose(picture[-768 + 50, 50], probability_colours(np.array([0.8]))[0], atol=2)
 
 
 def test_a_file_and_its_array_give_the_same_figure(tmp_path):
@@ -133,28 +118,6 @@ def test_long_messages_stay_left_of_the_colour_scale():
     )
     np.testing.assert_array_equal(short[:, 700:], long[:, 700:])
     assert (short != long).any()
-
-
-@pytest.mark.parametrize(
-    ("image", "words"),
-    [
-        (np.zeros((5, 5)), "float64"),
-        (np.zeros((5, 5, 2), np.uint8), r"\(5, 5, 2\)"),
-        (np.zeros((0, 5), np.uint8), r"\(0, 5\)"),
-        (np.zeros(5, np.uint8), r"\(5,\)"),
-        ("nowhere/at_all.jpg", "at_all.jpg"),
-        (__file__, r"test_draw\.py"),
-    ],
-)
-def test_unusable_images(image, words):
-    with pytest.raises(ImageError, match=words):
-        draw_matches(BLACK, image, ONE_MATCH)
-
-
-@pytest.mark.parametrize("wrong", [{"max_matches": 0}, {"epipolar_lines": 9}, {"max_panel_size": 100}])
-def test_settings_out_of_range(wrong):
-    with pytest.raises(SettingsError, match=next(iter(wrong))):
-        DrawSettings(**wrong)
 
 
 def test_written_figure_reads_back(tmp_path):

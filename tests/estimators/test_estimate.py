@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calls import note_calls
 from epiprior.errors import EstimatorError, FeatureError, SettingsError
 from epiprior.estimators import EstimatorSettings
 from epiprior.estimators import fit as run_fit
+from epiprior.estimators import run as running
 from epiprior.estimators.handover import HandOver
 from epiprior.estimators.run import estimate_from_matches
 from epiprior.geometry import sampson_distance
@@ -35,7 +37,7 @@ def usac(sets: MatchSet | list[MatchSet], how: HandOver, **options) -> Fundament
     return estimate_from_matches(sets, estimator="usac", hand_over=how, **options)
 
 
-def test_one_set_as_handed_over_is_what_the_estimator_says():
+def test_one_set_is_handed_over_as_it_is_and_the_other_order_gives_the_transposed_answer():
     pair = make_pair()
     estimate = estimate_from_matches([pair.matches], estimator="usac", seed=3, hand_over=HandOver())
     # The images are taken in the order that the matches decide.
@@ -44,9 +46,6 @@ def test_one_set_as_handed_over_is_what_the_estimator_says():
     assert np.array_equal(estimate.x1, pair.matches.x1)
     assert estimate.support == np.count_nonzero(sampson_distance(estimate.F, estimate.x1, estimate.x2) < 1.5)
     assert set(estimate.seconds) == {"estimator", "support"}
-
-
-def test_the_images_in_the_other_order_give_the_transposed_answer():
     for scene in ("relief", "plane"):
         matches = replace(make_pair(scene=scene, seed=3).matches, image_sizes=SIZES, roll_deg=20.0)
         for name in ("usac", "epiprior", "blogs"):
@@ -57,20 +56,14 @@ def test_the_images_in_the_other_order_give_the_transposed_answer():
             assert (one.roll_deg, other.roll_deg) == (20.0, -20.0)
 
 
-def test_confidence_is_known_of_every_F_and_of_no_other():
-    pair = make_pair()
-    estimate = usac(replace(pair.matches, image_sizes=SIZES), HandOver())
-    assert estimate.geometry is Geometry.GENERAL
-    assert estimate.confidence > 0.5
-    assert estimate.H is None
-    few = run("usac", pair.matches.take(slice(5)))
-    assert (few.status, few.F, few.geometry) == (Status.TOO_FEW_MATCHES, None, Geometry.NONE)
-    assert math.isnan(few.confidence)
-
-
-def test_what_confidence_is_asked_for_decides_the_status():
+def test_confidence_is_known_of_every_F_and_decides_the_status():
     matches = replace(make_pair().matches, image_sizes=SIZES)
     sure = usac(matches, HandOver())
+    assert (sure.geometry, sure.H) == (Geometry.GENERAL, None)
+    assert sure.confidence > 0.5
+    few = run("usac", matches.take(slice(5)))
+    assert (few.status, few.F, few.geometry) == (Status.TOO_FEW_MATCHES, None, Geometry.NONE)
+    assert math.isnan(few.confidence)
     assert usac(matches, HandOver(), min_confidence=sure.confidence).status is Status.OK
     doubted = usac(matches, HandOver(), min_confidence=min(1.0, sure.confidence + 1e-9))
     assert (doubted.status, doubted.geometry) == (Status.NO_MODEL, Geometry.NONE)
@@ -99,23 +92,16 @@ def test_probable_support_outweighs_numerous_support():
     assert by_probability.roll_deg == 10.0
 
 
-def test_support_is_collected_from_all_of_the_ranking():
+def test_support_is_collected_from_all_of_the_ranking_once_per_feature_of_probable_matches():
     pair = make_pair(inliers=600, outliers=300, order=3.0)
     narrow, wide = (usac(pair.matches, replace(how, top_k=100)) for how in (PAPER, FULL))
     assert len(narrow.x1) == 100
     assert wide.support > 500
     assert np.array_equal(wide.inliers, sampson_distance(wide.F, wide.x1, wide.x2) < 1.5)
-
-
-def test_collected_support_counts_a_feature_once():
     pair = make_pair(inliers=100, outliers=50)
-    crowd = pair.matches.take(np.repeat(np.arange(150), 3))
-    estimate = usac(crowd, FULL)
+    estimate = usac(pair.matches.take(np.repeat(np.arange(150), 3)), FULL)
     assert len(estimate.x1) <= 150
     assert len(np.unique(estimate.x1, axis=0)) == len(estimate.x1)
-
-
-def test_matches_likelier_wrong_than_right_are_not_collected():
     pair = make_pair(inliers=200, outliers=2000, order=4.0)
     estimate = usac(pair.matches, FULL)
     truth = sampson_distance(pair.F, estimate.x1, estimate.x2) < 3.0
@@ -128,18 +114,13 @@ def test_refinement_on_probable_matches_helps():
     errors = []
     for seed in range(8):
         pair = make_pair(inliers=300, outliers=600, noise_px=0.8, order=3.0, seed=seed)
-        plain, refined = (usac(pair.matches, replace(FULL, refine=refine, top_k=60)) for refine in (False, True))
-        errors.append((pair.error_px(plain.F), pair.error_px(refined.F)))
-    before, after = np.median(errors, axis=0)
+        found = [usac(pair.matches, replace(FULL, refine=refine, top_k=60)) for refine in (False, True)]
+        bare = replace(pair.matches, probability=np.full(len(pair.matches), np.nan))
+        found.append(usac(bare, HandOver(refine=True, collect=True)))
+        errors.append([pair.error_px(estimate.F) for estimate in found])
+    before, after, without_probabilities = np.median(errors, axis=0)
     assert after < 0.7 * before
-
-
-def test_standard_matches_without_probabilities_can_be_refined_too():
-    pair = make_pair(noise_px=0.8)
-    bare = replace(pair.matches, probability=np.full(len(pair.matches), np.nan))
-    estimate = usac(bare, HandOver(refine=True, collect=True))
-    assert estimate.status is Status.OK
-    assert pair.error_px(estimate.F) < 0.6
+    assert without_probabilities < 0.6
 
 
 @pytest.mark.parametrize(
@@ -160,39 +141,29 @@ def test_failure_is_a_status(matches, status, how):
     assert not estimate
 
 
-def test_two_empty_sets_are_too_few():
-    empty = make_pair().matches.take(slice(0))
-    estimate = estimate_from_matches([empty, empty], estimator="prosac", hand_over=FULL)
-    assert estimate.status is Status.TOO_FEW_MATCHES
-    assert estimate.iterations is None
+def test_iterations_add_up_over_hypotheses_and_are_unknown_without_matches():
+    m = make_pair().matches
+    sets = ([m], [m, m], [m.take(slice(0))] * 2)
+    one, two, none = (estimate_from_matches(each, estimator="prosac", hand_over=FULL) for each in sets)
+    assert two.iterations == 2 * one.iterations
+    assert (none.iterations, none.status) == (None, Status.TOO_FEW_MATCHES)
 
 
-def test_iterations_add_up_over_hypotheses():
-    pair = make_pair()
-    counts = [estimate_from_matches([pair.matches] * n, estimator="prosac", hand_over=PAPER).iterations for n in (1, 2)]
-    assert counts[1] == 2 * counts[0]
-
-
-def test_a_plane_with_something_before_it_is_ok():
-    matches = make_pair(scene="plane+", inliers=400, outliers=100, off_plane=60, seed=2).matches
-    assert usac(matches, PAPER).status is Status.OK
-
-
-def test_a_plane_gives_its_homography_and_F_all_the_same():
+def test_a_plane_gives_its_homography_and_F_unless_something_stands_before_it():
     plane = replace(make_pair(scene="plane").matches, image_sizes=SIZES)
     estimate = run("usac", plane)
     assert (estimate.status, estimate.geometry) == (Status.DEGENERATE, Geometry.PLANAR)
     assert "one plane: F is not determined" in estimate.message
     assert np.linalg.norm(estimate.F) == pytest.approx(1.0)
     assert np.array_equal(estimate.inliers, homography_distance(estimate.H, plane.x1, plane.x2) < 4.0)
-    given = run_fit("usac", plane)
-    assert given.F is not None
     scaled = replace(plane, x1=2 * plane.x1, x2=3 * plane.x2)
     H = usac(scaled, HandOver(), pixel_factors=(2.0, 3.0)).H
     assert homography_distance(H, scaled.x1, scaled.x2)[estimate.inliers].max() < 12.0
+    matches = make_pair(scene="plane+", inliers=400, outliers=100, off_plane=60, seed=2).matches
+    assert usac(matches, PAPER).status is Status.OK
 
 
-def test_large_images_are_measured_at_working_size():
+def test_large_images_and_rough_matrices_are_measured_at_working_size(monkeypatch):
     """The same matches at four and two times the size, with thresholds of working pixels: the same answer."""
     pair = make_pair(noise_px=0.7)
     m = pair.matches
@@ -204,33 +175,23 @@ def test_large_images_are_measured_at_working_size():
     D1, D2 = np.diag([4.0, 4.0, 1.0]), np.diag([2.0, 2.0, 1.0])
     back = D2 @ scaled.F @ D1
     assert np.abs(back / np.linalg.norm(back)) == pytest.approx(np.abs(small.F), abs=1e-12)
-    unscaled = usac(large, FULL)
-    assert unscaled.support < small.support
-
-
-def test_rough_matrices_reach_the_estimator_in_working_pixels(monkeypatch):
-    """Half a pair's matches as given, in images of two and four times the working size, with F of given pixels."""
+    assert usac(large, FULL).support < small.support
+    # Half a pair's matches as given, in images of two and four times the working size, with F of given pixels.
     pair = make_pair(outliers=0)
     m = pair.matches
     given = np.linalg.inv(np.diag([4.0, 4.0, 1.0])).T @ pair.F @ np.linalg.inv(np.diag([2.0, 2.0, 1.0]))
     large = replace(m, x1=m.x1 * 2, x2=m.x2 * 4, rough_matrices=np.stack([given, 5 * given]))
-    seen = []
-
-    def fit(name, matches, **options):
-        seen.append(matches)
-        return run_fit(name, matches, **options)
-
-    monkeypatch.setattr("epiprior.estimators.run.fit", fit)
+    calls = note_calls(monkeypatch, running, "fit")
     usac(large, FULL, pixel_factors=(2.0, 4.0))
+    _, seen = calls[0][0]
     wanted = sampson_distance(pair.F, m.x1, m.x2)
-    for F in seen[0].rough_matrices:
-        assert sampson_distance(F, seen[0].x1, seen[0].x2) == pytest.approx(wanted, rel=1e-6, abs=1e-9)
-    assert seen[0].x1.max() == pytest.approx(m.x1.max()) or seen[0].x1.max() == pytest.approx(m.x2.max())
+    for F in seen.rough_matrices:
+        assert sampson_distance(F, seen.x1, seen.x2) == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+    assert seen.x1.max() in (pytest.approx(m.x1.max()), pytest.approx(m.x2.max()))
 
 
 def test_settings_override_the_threshold_of_the_hand_over():
-    pair = make_pair(noise_px=1.0)
-    estimate = usac(pair.matches, PAPER, settings=EstimatorSettings(threshold_px=0.5))
+    estimate = usac(make_pair(noise_px=1.0).matches, PAPER, settings=EstimatorSettings(threshold_px=0.5))
     assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.5)
 
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epiprior.estimators import EstimatorSettings, RawModel, find_estimator, fit, ratio_prior
+from epiprior.estimators import EstimatorSettings, find_estimator, fit, ratio_prior
 from epiprior.estimators.own import Recipe, search, similarity_prior
-from epiprior.geometry import normalise_fundamental, sampson_distance
+from epiprior.geometry import sampson_distance
 from epiprior.kernels.scores import KERNEL, LIKELIHOOD, SUPPORT
 from epiprior.types import MatchSet, Status
-from synthetic import HEIGHT, Scene, SyntheticPair, make_matches, make_pair
+from synthetic import HEIGHT, SyntheticPair, make_matches, make_pair, same_matrix
 
 OWN = ("guided-mlesac", "beem", "blogs", "generalized-ransac")
 
@@ -49,59 +49,42 @@ def test_two_oriented_matches_find_what_seven_do_not(turn_deg):
     assert inliers_found(seven.F, matches, pair.right) < 0.7
 
 
-def test_supporters_joined_with_others_lead_off_a_plane():
-    found = []
-    for share in (0.0, 0.5):
-        close = 0
-        for seed in range(10):
-            pair = make_pair(scene="plane+", inliers=200, outliers=600, off_plane=30, order=0.5, seed=seed)
+def test_supporters_joined_with_others_lead_off_a_plane_and_beem_finds_f_beside_one():
+    close = np.zeros(2)
+    for seed in range(6):
+        pair = make_pair(scene="plane+", inliers=200, outliers=600, off_plane=30, order=0.5, seed=seed)
+        for k, share in enumerate((0.0, 0.5)):
             recipe = Recipe(kind=SUPPORT, local=1, local_share=0.5, mixed_share=share, min_iterations=1_500)
             raw = search(pair.matches, np.full(800, 0.5), recipe, max_iterations=1_500, **SEARCH)
-            close += pair.error_px(raw.F) < 3
-        found.append(close)
-    assert found[1] > found[0]
-    assert found[1] >= 9
+            close[k] += pair.error_px(raw.F) < 3
+    assert close[1] > close[0]
+    assert close[1] >= 5
+    # Its own recipe. What its mixed samples add is too little to be tested: its other samples find F as well.
+    how = {"scene": "plane+", "inliers": 200, "outliers": 300, "off_plane": 30, "order": 0.5, "noise_px": 0.2}
+    pairs = [make_pair(**how, seed=seed) for seed in range(6)]
+    assert sum(pair.error_px(fit("beem", pair.matches).F) < 3 for pair in pairs) >= 5
 
 
-def test_beem_finds_f_beside_a_plane():
-    """Its own recipe. What its mixed samples add is too little to be tested: its other samples find F as well."""
-    close = 0
-    for seed in range(10):
-        pair = make_pair(scene="plane+", inliers=200, outliers=300, off_plane=30, order=0.5, noise_px=0.2, seed=seed)
-        close += pair.error_px(fit("beem", pair.matches).F) < 3
-    assert close >= 9
-
-
-def without_and_with_skipped_planes(scene: Scene) -> list[RawModel]:
-    matches = make_pair(scene=scene, inliers=150, outliers=0, noise_px=0.1, seed=2).matches
-    recipes = [Recipe(kind=KERNEL, skip_planes=skip) for skip in (False, True)]
-    return [search(matches, np.ones(150), recipe, max_iterations=300, **SEARCH) for recipe in recipes]
-
-
-def test_samples_of_one_plane_are_ruled_out():
+@pytest.mark.parametrize(("scene", "changes"), [("plane", True), ("relief", False)])
+def test_samples_of_one_plane_are_ruled_out(scene, changes):
     """On a plane nothing else is left: what is ruled out comes back as the last resort, and is judged later.
 
     Then the best sample alone is optimised, where otherwise each is that beats those before it: another F. Where no
     sample lies on one plane, ruling out changes nothing.
     """
-    kept, ruled_out = without_and_with_skipped_planes("plane")
-    assert not np.allclose(normalise_fundamental(kept.F), normalise_fundamental(ruled_out.F), atol=1e-6)
-    kept, ruled_out = without_and_with_skipped_planes("relief")
-    assert kept.F is not None
-    assert np.array_equal(kept.F, ruled_out.F)
+    matches = make_pair(scene=scene, inliers=150, outliers=0, noise_px=0.1, seed=2).matches
+    recipes = [Recipe(kind=KERNEL, skip_planes=skip) for skip in (False, True)]
+    kept, ruled_out = (search(matches, np.ones(150), recipe, max_iterations=300, **SEARCH).F for recipe in recipes)
+    assert same_matrix(kept, ruled_out, 1e-6) is not changes
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_the_cap_is_kept(name):
+def test_the_cap_is_kept_and_easy_pairs_end_early(name):
     noise = replace(make_pair(inliers=0, outliers=200).matches, probability=np.full(200, 0.05))
     own = find_estimator(name).max_iterations
     assert fit(name, noise, settings=EstimatorSettings(confidence=1 - 1e-12)).iterations == own <= 5_000
     assert fit(name, noise, settings=EstimatorSettings(max_iterations=50)).iterations == 50
-
-
-@pytest.mark.parametrize("name", ["guided-mlesac", "beem", "generalized-ransac"])
-def test_easy_pairs_end_early(name):
-    assert fit(name, make_pair(inliers=200, outliers=20).matches).iterations < 500
+    assert name == "blogs" or fit(name, make_pair(inliers=200, outliers=20).matches).iterations < 500
 
 
 @pytest.mark.parametrize("name", OWN)
@@ -148,10 +131,8 @@ def test_blogs_prefers_probabilities_then_similarity_then_ratio():
     assert np.array_equal(similarity_prior(neither), ratio_prior.inlier_probability(matches.distance_ratio))
 
 
-def test_density_is_a_density_and_reflects():
-    rng = np.random.default_rng(0)
-    ratios = rng.uniform(0, 1, 20_000)
-    np.testing.assert_allclose(ratio_prior.density(ratios), 1.0, atol=0.1)
+def test_density_and_the_tables_are_densities():
+    np.testing.assert_allclose(ratio_prior.density(np.random.default_rng(0).uniform(0, 1, 20_000)), 1.0, atol=0.1)
     few = np.array([0.02, 0.5])
     grid = np.linspace(0, 1, 26)
     expected = [
@@ -160,12 +141,9 @@ def test_density_is_a_density_and_reflects():
         for g in grid
     ]
     np.testing.assert_allclose(ratio_prior.density(few), expected)
-
-
-@pytest.mark.parametrize("table", [ratio_prior.DENSITY_IN, ratio_prior.DENSITY_OUT])
-def test_the_tables_are_densities(table):
-    assert np.trapezoid(table, np.linspace(0, 1, 26)) == pytest.approx(1, abs=0.03)
-    assert (table > 0).all()
+    for table in (ratio_prior.DENSITY_IN, ratio_prior.DENSITY_OUT):
+        assert np.trapezoid(table, grid) == pytest.approx(1, abs=0.03)
+        assert (table > 0).all()
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.8])

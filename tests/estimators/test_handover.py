@@ -21,7 +21,7 @@ from epiprior.estimators.handover import (
     save_hand_overs,
 )
 from epiprior.kernels.one_to_one import one_to_one_mask
-from synthetic import make_matches, make_pair
+from synthetic import make_matches
 
 
 @given(st.lists(st.tuples(st.integers(0, 12), st.integers(0, 2**40)), max_size=60))
@@ -38,46 +38,18 @@ def test_one_to_one_refuses_nonsense():
         one_to_one_mask(np.array([1, -4]), np.array([0, 1]))
 
 
-def test_match_set_one_to_one_keeps_the_better_match():
-    m = make_matches(np.zeros((3, 2)), np.zeros((3, 2)), feature1=np.array([0, 0, 1]))
-    assert m.one_to_one().feature2.tolist() == [0, 2]
-
-
-def test_nothing_asked_for_changes_nothing():
-    matches = make_pair().matches
-    assert np.array_equal(hand_over(matches, HandOver()).x1, matches.x1)
-
-
 def test_cuts_come_before_one_to_one_and_top_k():
     """A dropped match must not use up the feature of one that stays."""
     x, ratio = np.arange(24.0).reshape(12, 2), np.where(np.arange(12) == 0, 0.99, 0.5)
     matches = make_matches(x, x, np.linspace(1, 0, 12), distance_ratio=ratio, feature1=np.array([0, 0, *range(1, 11)]))
-    handed = hand_over(matches, HandOver(max_distance_ratio=0.9, one_to_one=True, top_k=8))
-    assert handed.feature2.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    how = HandOver(max_distance_ratio=0.9, one_to_one=True, top_k=8)
+    assert hand_over(matches, how).feature2.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert [len(hand_over(matches.take(slice(n)), how)) for n in (0, 1, 2)] == [0, 0, 1]
+    assert matches.one_to_one().feature2.tolist() == [0, *range(2, 12)]
+    assert np.array_equal(hand_over(matches, HandOver()).x1, x)  # nothing asked for
 
 
-@pytest.mark.parametrize("n", [0, 1])
-def test_empty_and_single_sets(n):
-    how = HandOver(one_to_one=True, top_k=8, max_distance_ratio=0.9)
-    assert len(hand_over(make_matches(np.ones((n, 2)), np.ones((n, 2)), np.ones(n)), how)) == n
-
-
-@pytest.mark.parametrize(
-    "bad",
-    [
-        *({"top_k": value} for value in (7, 300.0, True)),
-        *({"max_distance_ratio": value} for value in (0.0, np.nan)),
-        *({"threshold_px": value} for value in (0.0, None)),
-        *({"one_to_one": 1}, {"collect": "yes"}, {"refine": None}),
-    ],
-    ids=str,
-)
-def test_values_out_of_range_are_named(bad):
-    with pytest.raises(SettingsError, match=next(iter(bad))):
-        HandOver(**bad)
-
-
-def test_defaults_exist_for_everything_and_differ_in_what_they_take():
+def test_defaults_exist_for_everything_and_a_file_overrides_what_it_names(tmp_path):
     table = {name: {kind: default_hand_over(name, kind) for kind in INPUTS} for name in names()}
     assert table["usac"]["standard"].max_distance_ratio == 0.85
     assert table["beem"]["default"].top_k > table["usac"]["default"].top_k > table["colmap"]["default"].top_k
@@ -85,9 +57,6 @@ def test_defaults_exist_for_everything_and_differ_in_what_they_take():
     assert not table["usac"]["paper"].refine
     with pytest.raises(SettingsError, match="'lowe'"):
         default_hand_over("usac", "lowe")
-
-
-def test_file_overrides_what_it_names_and_nothing_else(tmp_path):
     path = tmp_path / "hand_over.json"
     path.write_text('{"usac": {"default": {"top_k": 123, "refine": false}}}')
     table = load_hand_overs(path)
@@ -96,17 +65,12 @@ def test_file_overrides_what_it_names_and_nothing_else(tmp_path):
     assert table["usac"]["snn"] == default_hand_over("usac", "snn")
 
 
-def test_file_round_trip_is_exact_and_byte_stable(tmp_path):
+def test_file_round_trip_is_exact_byte_stable_and_holds_exceptions_only(tmp_path):
     table = {"prosac": {"snn": HandOver(threshold_px=0.75), "default": HandOver(top_k=200)}}
     save_hand_overs(tmp_path / "a.json", table)
     save_hand_overs(tmp_path / "b.json", {"prosac": dict(reversed(table["prosac"].items()))})
-    loaded = load_hand_overs(tmp_path / "a.json")
-    assert loaded["prosac"]["snn"] == table["prosac"]["snn"]
-    assert loaded["prosac"]["default"] == table["prosac"]["default"]
+    assert load_hand_overs(tmp_path / "a.json")["prosac"].items() >= table["prosac"].items()
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
-
-
-def test_only_exceptions_are_written(tmp_path):
     usual = {kind: default_hand_over("usac", kind) for kind in INPUTS}
     save_hand_overs(tmp_path / "a.json", {"usac": usual | {"snn": HandOver(refine=True)}, "beem": {"snn": HandOver()}})
     assert json.loads((tmp_path / "a.json").read_text()) == {"usac": {"snn": {"refine": True}}}
@@ -115,35 +79,27 @@ def test_only_exceptions_are_written(tmp_path):
 @pytest.mark.parametrize(
     ("content", "culprit"),
     [
-        ({"usak": {}}, "'usak'"),
-        ({"usac": {"lowe": {}}}, "'lowe'"),
-        ({"usac": {"snn": {"topk": 3, "top_k": 30}}}, "unknown topk;"),
-        ({"usac": {"snn": {"top_k": 3}}}, "usac, snn: top_k is 3"),
-        ({"usac": {"snn": []}}, "usac, snn: list"),
-        ({"usac": 7}, "usac is int"),
-        ([], "the file is list"),
+        ('{"usak": {}}', "'usak'"),
+        ('{"usac": {"lowe": {}}}', "'lowe'"),
+        ('{"usac": {"snn": {"topk": 3, "top_k": 30}}}', "unknown topk;"),
+        ('{"usac": {"snn": {"top_k": 3}}}', "usac, snn: top_k is 3"),
+        ('{"usac": {"snn": []}}', "usac, snn: list"),
+        ('{"usac": 7}', "usac is int"),
+        ("[]", "the file is list"),
+        ("{", "not JSON"),
+        (None, "cannot be read"),
     ],
 )
 def test_bad_file_names_the_culprit(tmp_path, content, culprit):
     path = tmp_path / "hand_over.json"
-    path.write_text(json.dumps(content))
+    if content is not None:
+        path.write_text(content)
     with pytest.raises(SettingsError, match=rf"hand_over\.json: .*{culprit}"):
         load_hand_overs(path)
 
 
-def test_unreadable_file_is_named(tmp_path):
-    with pytest.raises(SettingsError, match=r"gone\.json: cannot be read"):
-        load_hand_overs(tmp_path / "gone.json")
-    (tmp_path / "text.json").write_text("{")
-    with pytest.raises(SettingsError, match=r"text\.json: not JSON"):
-        load_hand_overs(tmp_path / "text.json")
-
-
-def test_without_a_file_the_defaults_hold(monkeypatch):
-    monkeypatch.setattr("epiprior.estimators.handover.find_hand_overs", lambda: None)
-    assert load_hand_overs()["magsac++"]["paper"] == default_hand_over("magsac++", "paper")
-
-
-def test_the_packaged_file_is_valid():
+def test_the_packaged_file_is_valid_and_without_one_the_defaults_hold(monkeypatch):
     assert find_hand_overs() is None or find_hand_overs().name == "hand_over.json"
     assert set(load_hand_overs()) == set(names())
+    monkeypatch.setattr("epiprior.estimators.handover.find_hand_overs", lambda: None)
+    assert load_hand_overs()["magsac++"]["paper"] == default_hand_over("magsac++", "paper")

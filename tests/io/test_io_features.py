@@ -4,7 +4,6 @@ import contextlib
 import sqlite3
 import sys
 
-import h5py
 import numpy as np
 import pycolmap
 import pytest
@@ -15,6 +14,7 @@ from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.io import read_colmap_features, read_hloc_features
 from epiprior.presets import FeatureSettings
+from feature_files import hloc_parts, signed, write_h5
 from pictures import relief_pair
 
 SIZE = (640, 480)
@@ -30,11 +30,6 @@ def make_features(n=7, seed=0):
         descriptors=rng.integers(0, 256, (n, 128)).astype(np.float32),
         image_size=SIZE,
     )
-
-
-def signed(features):
-    """Return the orientations in (-180, 180]."""
-    return np.where(features.orientation_deg > 180, features.orientation_deg - 360, features.orientation_deg)
 
 
 def colmap_rows(features):
@@ -66,25 +61,6 @@ def described(descriptors, kind=SIFT):
     return pycolmap.FeatureDescriptors(kind, np.ascontiguousarray(descriptors, np.uint8))
 
 
-def write_h5(path, images):
-    with h5py.File(path, "w") as file:
-        for name, parts in images.items():
-            for key, value in parts.items():
-                file.create_dataset(f"{name}/{key}", data=value)
-    return path
-
-
-def hloc_parts(features, dtype=np.float32):
-    return {
-        "keypoints": features.xy.astype(dtype),
-        "scales": features.scale.astype(dtype),
-        "oris": signed(features),
-        "descriptors": features.descriptors.T.astype(dtype),
-        "image_size": np.array(features.image_size),
-        "scores": np.zeros(len(features), dtype),
-    }
-
-
 def assert_frames(read, written, rtol=1e-5):
     np.testing.assert_allclose(read.xy, written.xy, rtol=rtol, atol=1e-4)
     np.testing.assert_allclose(read.scale, written.scale, rtol=rtol)
@@ -110,7 +86,7 @@ def test_colmap_database_is_read_back(tmp_path, make_rows):
     assert read_colmap_features(path, "other.jpg").image_size == (300, 200)
 
 
-def test_affine_frame_has_the_scale_and_orientation_that_colmap_computes(tmp_path):
+def test_affine_frames_are_as_colmap_computes_and_without_texture_there_are_none(tmp_path):
     frame = pycolmap.FeatureKeypoint.from_shape_parameters(5, 6, 2, 3, 0.5, 0.2)
     row = np.array([[frame.x, frame.y, frame.a11, frame.a12, frame.a21, frame.a22]], np.float32)
     path = write_database(tmp_path / "a.db", {"a.jpg": (SIZE, row, described(np.ones((1, 128))))})
@@ -118,11 +94,8 @@ def test_affine_frame_has_the_scale_and_orientation_that_colmap_computes(tmp_pat
     np.testing.assert_allclose(read.xy, [[4.5, 5.5]])
     np.testing.assert_allclose(read.scale, frame.compute_scale(), rtol=1e-6)
     np.testing.assert_allclose(read.orientation_deg, np.rad2deg(frame.compute_orientation()), rtol=1e-6)
-
-
-def test_image_without_texture_has_no_features(tmp_path):
     empty = (SIZE, np.empty((0, 4), np.float32), described(np.empty((0, 128))))
-    read = read_colmap_features(write_database(tmp_path / "a.db", {"a.jpg": empty}), "a.jpg")
+    read = read_colmap_features(write_database(tmp_path / "b.db", {"a.jpg": empty}), "a.jpg")
     assert len(read) == 0
     assert read.descriptors.shape == (0, 128)
 
@@ -209,8 +182,7 @@ def test_h5_is_read_back(tmp_path):
 
 def hloc_rootsift(descriptors):
     """Return the root of descriptors as hloc's extractor takes it."""
-    total = np.abs(descriptors).sum(axis=1, keepdims=True)
-    rooted = np.sqrt(np.maximum(descriptors / (total + 1e-6), 1e-6))
+    rooted = np.sqrt(np.maximum(descriptors / (np.abs(descriptors).sum(axis=1, keepdims=True) + 1e-6), 1e-6))
     return rooted / (np.linalg.norm(rooted, axis=1, keepdims=True) + 1e-6)
 
 

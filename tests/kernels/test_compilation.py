@@ -1,22 +1,10 @@
 """Compiling is announced, kept on disk, and does without a disk."""
 
 import logging
-import os
-import subprocess
-import sys
 
-import pytest
-
-from epiprior.estimators import epiprior as starting_from_votes
-from epiprior.estimators import own
+from command_line import run_python
 from epiprior.kernels import compilation
-from synthetic import make_pair, run
-
-
-def in_a_process(code, **environment):
-    """Run code in another process; return what it logged."""
-    command = [sys.executable, "-c", "import logging; logging.basicConfig(level=logging.INFO)\n" + code]
-    return subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | environment).stderr
+from synthetic import make_pair
 
 
 def test_compilation_is_announced_once_per_kernel(monkeypatch, caplog):
@@ -41,27 +29,12 @@ def test_compilation_is_announced_once_per_kernel(monkeypatch, caplog):
     assert [record.message for record in caplog.records] == [line.format("this"), line.format("those")]
 
 
-@pytest.mark.parametrize("name", ["epiprior", "beem", "usac"])
-def test_own_estimators_announce_their_kernels(monkeypatch, name):
-    said = []
-    for module in (starting_from_votes, own):
-        monkeypatch.setattr(module, "announce_compilation", lambda kernel, *words: said.append(kernel))
-    run(name, make_pair().matches)
-    assert said == {"epiprior": [starting_from_votes.climb], "beem": [own.run_loop], "usac": []}[name]
-
-
 WALK = """
+import logging; logging.basicConfig(level=logging.INFO)
 from epiprior.kernels import compilation, one_to_one
 compilation.announce_compilation(one_to_one._walk, 'the walk', 'a second')
 assert one_to_one.one_to_one_mask([0, 0, 1], [3, 4, 4]).tolist() == [True, False, True]
 """
-
-
-def test_the_cache_of_compiled_kernels_is_recognised(tmp_path):
-    """The second process finds what the first one compiled, and says nothing."""
-    said = [in_a_process(WALK, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2)]
-    assert "compiling kernels" in said[0]
-    assert "compiling kernels" not in said[1]
 
 
 NOWHERE = """
@@ -72,8 +45,12 @@ caching._CacheLocator.ensure_cache_path = refuse
 """
 
 
-def test_kernels_work_where_no_cache_can_be_written():
-    """As in an install that is read-only, with a home that is not writable: a warning, once for all kernels."""
-    said = in_a_process(NOWHERE + WALK)
+def test_the_cache_of_compiled_kernels_is_recognised_and_not_needed(tmp_path):
+    """The second process finds what the first one compiled, and says nothing."""
+    said = [run_python(WALK, NUMBA_CACHE_DIR=str(tmp_path)).stderr for _ in range(2)]
+    assert "compiling kernels" in said[0]
+    assert "compiling kernels" not in said[1]
+    # As in an install that is read-only, with a home that is not writable: a warning, once for all kernels.
+    said = run_python(NOWHERE + WALK).stderr
     assert said.count("no folder for compiled kernels can be written") == 1
     assert "compiling kernels of the walk" in said

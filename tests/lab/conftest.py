@@ -1,13 +1,10 @@
-"""A pair set of a relief whose true epipolar lines are the rows, a pair without texture, and a model made by hand."""
+"""A pair set of a relief whose true epipolar lines are the rows, and of a pair without texture."""
 
 import numpy as np
 import pytest
 
-import epiprior.rank
-from epiprior.ranking.models import load_model
-from epiprior_lab.pairsets import read_pair_set
+from epiprior_lab.pairsets import read_pair_set, write_control_points
 from pictures import relief_pair, save
-from tiny_model import make_model
 
 
 @pytest.fixture(scope="session")
@@ -27,8 +24,7 @@ def relief(tmp_path_factory):
         for side, image in enumerate(images, start=1):
             save(root / "images" / f"{name}-{side}.png", image)
         lines.append(f"{name},images/{name}-1.png,images/{name}-2.png,control_points,{name[:-2]},")
-        header = "x1,y1,x2,y2"
-        np.savetxt(root / "control_points" / f"{name}.csv", points, delimiter=",", header=header, comments="")
+        write_control_points(root / "control_points" / f"{name}.csv", points[:, :2], points[:, 2:])
         np.savez(peer / f"{name}.npz", x1=points[:, :2], x2=points[:, 2:], **ones, **indices)
     (root / "pairs.csv").write_text("\n".join(lines) + "\n")
     return root
@@ -37,18 +33,3 @@ def relief(tmp_path_factory):
 @pytest.fixture(scope="session")
 def pairs(relief):
     return read_pair_set(relief).pairs
-
-
-@pytest.fixture(scope="session")
-def model_folder(tmp_path_factory):
-    return make_model(tmp_path_factory.mktemp("models") / "default")
-
-
-@pytest.fixture(scope="session")
-def model(model_folder):
-    return load_model(model_folder)
-
-
-@pytest.fixture
-def tiny_model(model, monkeypatch):
-    monkeypatch.setattr(epiprior.rank, "load_model", lambda name: model)

@@ -6,8 +6,7 @@ from epiprior.matching.clusters import cluster_features
 
 
 def similar_groups(rng, groups, members, spread, d=12):
-    centres = rng.normal(size=(groups, d))
-    x = np.repeat(centres, members, axis=0) + spread * rng.normal(size=(groups * members, d))
+    x = np.repeat(rng.normal(size=(groups, d)), members, axis=0) + spread * rng.normal(size=(groups * members, d))
     x = rng.permutation(x).astype(np.float32)
     return x / np.linalg.norm(x, axis=1, keepdims=True)
 
@@ -21,7 +20,7 @@ def test_equals_naive_average_linkage(seed, spread):
     assert as_sets == naive.average_linkage(d, 0.85)
 
 
-def test_layout_and_numbering():
+def test_layout_and_numbering_of_many_one_and_no_cluster():
     d = similar_groups(np.random.default_rng(1), 5, 9, 0.2)
     found = cluster_features(d)
     first = [int(np.flatnonzero(found.label == c)[0]) for c in range(len(found))]
@@ -31,13 +30,7 @@ def test_layout_and_numbering():
         np.testing.assert_array_equal(members, np.flatnonzero(found.label == c))
         median = np.median(d[members], axis=0)
         np.testing.assert_allclose(found.representative[c], median / np.linalg.norm(median), atol=1e-5)
-
-
-def test_a_component_wider_than_a_block_is_one_cluster():
     d = np.ones((1300, 4), np.float32) / 2
     assert len(cluster_features(d)) == 1
-
-
-def test_empty_and_single():
     assert len(cluster_features(np.empty((0, 8), np.float32))) == 0
     assert cluster_features(np.ones((1, 1), np.float32)).label.tolist() == [0]

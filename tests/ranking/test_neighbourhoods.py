@@ -24,16 +24,12 @@ def test_the_radius_rule_keeps_the_nearest_up_to_its_cap():
     xy, scale, label = random_scene(0)
     found = neighbourhoods(xy, scale * 50, label, nearest=0, within=5.0, nearest_of_cluster=0, max_within=7)
     assert (np.diff(found.start) == 7).all()
-    distance = np.hypot(*(xy - xy[0]).T)
-    assert set(found.neighbour[:7].tolist()) == set(np.argsort(distance)[1:8].tolist())
+    assert set(found.neighbour[:7].tolist()) == set(np.argsort(np.hypot(*(xy - xy[0]).T))[1:8].tolist())
 
 
-def test_nearest_points_break_ties_by_index():
+def test_nearest_points_break_ties_by_index_and_no_feature_has_neighbours():
     square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     distance, index = nearest_points(square, square[:1], 9)
     assert index.tolist() == [[0, 1, 2, 3, 4]]
     assert distance.tolist() == [[0, 1, 1, 1, 1]]
-
-
-def test_no_feature_has_no_neighbours():
     assert len(neighbourhoods(np.empty((0, 2)), np.empty(0), np.empty(0, np.int64)).neighbour) == 0

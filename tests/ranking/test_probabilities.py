@@ -33,40 +33,31 @@ def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
         assert weight == pytest.approx(0.0 if k is None else table.similarity_weight[k])
         assert mutual == (k is not None and table.mutual[k])
     assert kpmd.column("relative_support").max() == 1
-    rivals = [sum((a == p) != (b == q) for p, q in pairs) for a, b in pairs]
-    assert kpmd.column("rivals").tolist() == rivals
+    assert kpmd.column("rivals").tolist() == [sum((a == p) != (b == q) for p, q in pairs) for a, b in pairs]
     np.testing.assert_allclose(kpmd.column("scale_change"), np.abs(np.log(frames.scale2 / frames.scale1)), rtol=1e-6)
     np.testing.assert_allclose(kpmd.select(COHERENCE_COLUMNS), around, rtol=1e-6)
     pair_wide = np.unique(kpmd.select(("pair_two_keypoints", "pair_support")), axis=0)
     np.testing.assert_allclose(pair_wide, [[0.5, 0.2]], rtol=1e-6)
 
 
-def test_pair_columns():
+def test_columns_of_pairs_best_rivals_and_scores_of_2keypoints_equal_naive():
     strengths = np.array([0.9] * 10 + [0.1] * 2)
     pairs = [a * b for k, a in enumerate(strengths) for b in strengths[k + 1 :]]
     best, mean, support = pair_columns(strengths, np.array([3.0, sum(pairs) / 2]))
     assert (best, mean, support) == pytest.approx((0.9, strengths.mean(), 0.5))
     assert pair_columns(np.empty(0), np.empty(0)) == (0.0, 0.0, 0.0)
     assert pair_columns(np.array([0.7]), np.zeros(3)) == (0.7, 0.7, 0.0)
-
-
-def test_best_rival_equals_naive():
     rng = np.random.default_rng(1)
     feature, score = rng.integers(0, 15, 60), np.round(rng.random(60), 1)
     expected = [max([score[j] for j in range(60) if j != i and feature[j] == feature[i]], default=0) for i in range(60)]
     np.testing.assert_allclose(best_rival(score, feature), expected)
     assert best_rival(np.empty(0), np.empty(0, np.int64)).shape == (0,)
-
-
-def test_two_keypoint_scores_equal_naive():
     rng = np.random.default_rng(2)
     main, other, p = rng.integers(0, 9, 30), rng.integers(0, 9, 30), rng.random(30)
     pairs = TwoKeypointMatches(main, other, PAPER_TWO_KEYPOINT_COLUMNS, np.zeros((30, 6), np.float32))
-    best, total = two_keypoint_scores(pairs, p, 10)
-    for row in range(10):
-        mine = np.concatenate([p[main == row], p[other == row]])
-        assert best[row] == pytest.approx(mine.max(initial=0))
-        assert total[row] == pytest.approx(mine.sum())
+    mine = [np.concatenate([p[main == row], p[other == row]]) for row in range(10)]
+    found = two_keypoint_scores(pairs, p, 10)
+    np.testing.assert_allclose(found, [[each.max(initial=0) for each in mine], [each.sum() for each in mine]])
 
 
 def test_nothing_at_all():

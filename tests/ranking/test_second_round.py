@@ -9,6 +9,13 @@ from epiprior.ranking.second_round import second_round_rows, second_round_table
 from synthetic import make_frames, make_pair
 
 
+def union_of(first, second=None):
+    """Matches that are neither putative nor standard, and no descriptors but zeros."""
+    nowhere = np.full(len(first), -1)
+    union = Union(first, first if second is None else second, nowhere, nowhere)
+    return union, MatchTable(MATCH_COLUMNS, np.zeros((len(first), len(MATCH_COLUMNS)), np.float32))
+
+
 @pytest.fixture(scope="module")
 def described():
     """Two hundred matches, half of them right and probable; rough matrices near the true one and random ones."""
@@ -19,13 +26,13 @@ def described():
     near = pair.F + 1e-3 * np.abs(pair.F) * rng.normal(size=(6, 3, 3))
     matrices = np.concatenate([rng.normal(size=(5, 3, 3)), near])
     frames = make_frames(pair.matches.x1, pair.matches.x2)
-    union = Union(np.arange(200), np.append(np.arange(199), 0), np.full(200, -1), np.full(200, -1))
+    union, _ = union_of(np.arange(200), np.append(np.arange(199), 0))
     table = MatchTable(MATCH_COLUMNS, rng.random((200, len(MATCH_COLUMNS)), np.float32))
     rows = second_round_rows(probability, 150)
     return rows, right, probability, table, second_round_table(rows, union, frames, table, probability, matrices)
 
 
-def test_the_most_probable_matches_are_described_in_order(described):
+def test_the_most_probable_matches_are_described_and_right_ones_are_near_the_best_f(described):
     rows, _, probability, table, found = described
     assert found.columns == SECOND_ROUND_COLUMNS
     assert found.descriptors.shape == (150, len(SECOND_ROUND_COLUMNS))
@@ -36,9 +43,6 @@ def test_the_most_probable_matches_are_described_in_order(described):
     rival = found.column("best_rival2")[list(rows).index(0)] if 0 in rows else probability[199]
     assert rival == pytest.approx(probability[199], rel=1e-6)
     assert not found.column("best_rival1").any()
-
-
-def test_right_matches_are_near_the_best_f_and_support_it(described):
     rows, right, _, _, found = described
     near = np.expm1(found.column("distance_best"))
     assert np.median(near[right[rows]]) < 1.5 < np.median(near[~right[rows]])
@@ -57,8 +61,7 @@ def test_a_match_alone_does_not_confirm_the_f_that_it_made(monkeypatch):
     x2 = x1 + np.array([5.0, 60.0])
     x2[7, 1] = x1[7, 1]
     frames, p = make_frames(x1, x2), np.full(20, 0.5)
-    union = Union(np.arange(20), np.arange(20), np.full(20, -1), np.full(20, -1))
-    table = MatchTable(MATCH_COLUMNS, np.zeros((20, len(MATCH_COLUMNS)), np.float32))
+    union, table = union_of(np.arange(20))
     found = second_round_table(np.arange(20), union, frames, table, p, F[None])
     assert np.expm1(found.column("distance_best"))[7] == pytest.approx(0, abs=1e-6)
     assert found.column("evidence_without")[7] == pytest.approx(0, abs=1e-6)
@@ -73,8 +76,7 @@ def test_agreement_in_image_2_is_that_in_image_1_of_the_swapped_pair(described):
     pair = make_pair(inliers=60, outliers=20, seed=5)
     p = np.random.default_rng(1).uniform(0.1, 0.9, 80)
     index = np.arange(80)
-    union = Union(index, index, np.full(80, -1), np.full(80, -1))
-    table = MatchTable(MATCH_COLUMNS, np.zeros((80, len(MATCH_COLUMNS)), np.float32))
+    union, table = union_of(index)
     scale = np.random.default_rng(2).uniform(1, 3, 80)
     one = make_frames(pair.matches.x1, pair.matches.x2, scale1=scale, roll_rad=0.3)
     other = make_frames(pair.matches.x2, pair.matches.x1, scale2=scale, roll_rad=-0.3)
@@ -87,14 +89,11 @@ def test_agreement_in_image_2_is_that_in_image_1_of_the_swapped_pair(described):
     assert a.select(first).any()
 
 
-def test_without_matches_or_matrices_nothing_fails():
-    none = np.empty(0, np.int64)
-    empty = MatchTable(MATCH_COLUMNS, np.empty((0, len(MATCH_COLUMNS)), np.float32))
-    frames = make_frames(np.empty((0, 2)), np.empty((0, 2)))
-    found = second_round_table(none, Union(none, none, none, none), frames, empty, np.empty(0), np.empty((0, 3, 3)))
-    assert found.descriptors.shape == (0, len(SECOND_ROUND_COLUMNS))
-    one = np.arange(9)
-    table = MatchTable(MATCH_COLUMNS, np.zeros((9, len(MATCH_COLUMNS)), np.float32))
-    frames = make_frames(*np.random.default_rng(0).uniform(0, 99, (2, 9, 2)))
-    found = second_round_table(one, Union(one, one, one, one), frames, table, np.full(9, 0.5), np.empty((0, 3, 3)))
+@pytest.mark.parametrize("count", [0, 9])
+def test_without_matches_or_matrices_nothing_fails(count):
+    index = np.arange(count)
+    union, table = union_of(index)
+    frames = make_frames(*np.random.default_rng(0).uniform(0, 99, (2, count, 2)))
+    found = second_round_table(index, union, frames, table, np.full(count, 0.5), np.empty((0, 3, 3)))
+    assert found.descriptors.shape == (count, len(SECOND_ROUND_COLUMNS))
     assert np.isfinite(found.descriptors).all()

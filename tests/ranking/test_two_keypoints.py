@@ -22,7 +22,7 @@ def random_pair(seed, m=400):
     return *scenes, X, make_frames(**columns), *match_two_keypoints(X, *around)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_matches_and_descriptors_equal_naive(seed):
     scene1, scene2, X, frames, main, other = random_pair(seed)
     rules = [naive.neighbour_rules(*scene, 5, 5.0, 1) for scene in (scene1, scene2)]
@@ -57,8 +57,7 @@ def test_extended_columns():
     np.testing.assert_allclose(
         table.select(("scale_change_difference",))[:, 0], np.abs(changes[main] - changes[other]), atol=1e-5
     )
-    turn = np.abs(table.select(("turn_difference", "roll_error_main")))
-    assert turn.max() <= np.pi + 1e-5
+    assert np.abs(table.select(("turn_difference", "roll_error_main"))).max() <= np.pi + 1e-5
     for name, rows in (("main", main), ("neighbour", other)):
         columns = tuple(f"{column}_{name}" for column in COHERENCE_COLUMNS)
         np.testing.assert_allclose(table.select(columns), around[rows], rtol=1e-6)
@@ -74,7 +73,4 @@ def test_a_pair_and_its_swap_count_once_and_ties_are_broken():
     key = [(-probability[k], agreement[k], k) for k in chosen]
     assert key == sorted(key)
     assert probability[chosen].min() >= np.sort(probability)[::-1][59]
-
-
-def test_no_matches():
     assert len(random_pair(0, m=0)[-1]) == 0

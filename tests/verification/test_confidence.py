@@ -1,8 +1,10 @@
 """The model of the confidence: read whole or refused, and what follows from its probabilities."""
 
+import functools
 import json
 import shutil
 from dataclasses import replace
+from operator import getitem
 
 import numpy as np
 import pytest
@@ -17,7 +19,6 @@ from epiprior.verification.confidence import (
     judge,
     load_confidence,
 )
-from epiprior.verification.facts import COLUMNS
 from synthetic import make_pair
 from synthetic_facts import facts_of
 
@@ -45,7 +46,7 @@ def verdict(facts, right, flat, kind=Geometry.PLANAR, **options):
     return judge(facts, kind, ConfidenceModel({}, Fixed(right), Fixed(flat), 0.25), **options)
 
 
-def test_status_and_geometry_follow_from_both_probabilities(facts):
+def test_status_geometry_and_message_follow_from_both_probabilities(facts):
     sure = verdict(facts, 0.9, 0.05)
     assert (sure.status, sure.geometry, sure.confidence, sure.message) == (Status.OK, Geometry.GENERAL, 0.9, "")
     flat = verdict(facts, 0.3, 0.9)
@@ -59,9 +60,6 @@ def test_status_and_geometry_follow_from_both_probabilities(facts):
     ):
         assert (found.status, found.geometry) == (Status.NO_MODEL, Geometry.NONE)
         assert "no more agreement than between photographs of different places" in found.message
-
-
-def test_an_overlay_is_named_where_nothing_else_agrees(facts):
     on_overlay = replace(facts, apart=0.1)
     assert "watermark" in verdict(on_overlay, 0.1, 0.05).message
     assert verdict(on_overlay, 0.9, 0.05).status is Status.OK
@@ -81,32 +79,22 @@ def folder(tmp_path):
     return shutil.copytree(find_model("confidence"), tmp_path / "confidence")
 
 
-def changed(folder, change):
+@pytest.mark.parametrize(
+    ("keys", "value", "message"),
+    [
+        (("min_confidence",), 1.5, r"min_confidence is 1\.5"),
+        (("min_confidence",), None, "min_confidence is None"),
+        (("confidence", "features", 0), "weather", "weather"),
+    ],
+)
+def test_a_damaged_model_is_refused(folder, keys, value, message):
     manifest = json.loads((folder / "manifest.json").read_text())
-    change(manifest)
+    functools.reduce(getitem, keys[:-1], manifest)[keys[-1]] = value
     (folder / "manifest.json").write_text(json.dumps(manifest))
-
-
-def test_a_damaged_model_is_refused(folder, tmp_path):
+    with pytest.raises(ModelError, match=message):
+        load_confidence(folder)
     with pytest.raises(ModelError, match="no such folder"):
-        load_confidence(tmp_path / "nowhere")
-    changed(folder, lambda manifest: manifest.update(min_confidence=1.5))
-    with pytest.raises(ModelError, match=r"min_confidence is 1\.5"):
-        load_confidence(folder)
-    other = shutil.copytree(folder, tmp_path / "other")
-    changed(other, lambda manifest: manifest.pop("min_confidence"))
-    with pytest.raises(ModelError, match="min_confidence is None"):
-        load_confidence(other)
-
-
-def test_unknown_facts_are_named(folder):
-    def rename(manifest):
-        manifest["confidence"]["features"][0] = "weather"
-
-    changed(folder, rename)
-    assert "weather" not in COLUMNS
-    with pytest.raises(ModelError, match="weather"):
-        load_confidence(folder)
+        load_confidence(folder / "nowhere")
 
 
 @pytest.mark.parametrize("bad", [-0.1, 1.1, np.nan, None, True, "0.9"])

@@ -55,24 +55,16 @@ def test_no_fact_depends_on_the_order_of_the_images(scene):
             assert getattr(one, name) == pytest.approx(getattr(other, name), **close), name
 
 
-def test_what_is_unknown_is_said_to_be():
+def test_what_is_unknown_is_said_to_be_and_other_rolls_agree_or_not():
     pair = make_pair()
     facts = facts_of(pair.F, replace(pair.matches, probability=np.full(len(pair.matches), np.nan)))
-    unknown = (facts.turn, facts.scale, facts.plausibility, facts.probability, facts.turn_like)
-    assert unknown == (UNKNOWN,) * 5
+    assert (facts.turn, facts.scale, facts.plausibility, facts.probability, facts.turn_like) == (UNKNOWN,) * 5
     assert facts.known == 0
-
-
-def test_another_roll_hypothesis_agrees_or_does_not():
     pair, other = make_pair(), make_pair(seed=8)
     assert facts_of(pair.F, pair.matches, others=(pair.F,)).rolls_agree == 1
-    unlike = facts_of(pair.F, pair.matches, others=(skewed(other.F),))
+    unlike = facts_of(pair.F, pair.matches, others=(other.F[::-1].copy(),))
     assert unlike.rolls == 2
     assert unlike.rolls_agree < 0.3
-
-
-def skewed(F):
-    return F[::-1].copy()
 
 
 @pytest.mark.parametrize("count", [0, 1, 8])

@@ -58,15 +58,12 @@ def test_scale_of_f_and_size_of_the_pixels_change_nothing():
     assert camera_plausibility((half.T @ F @ half)[None], small) == pytest.approx(value, rel=1e-9)
 
 
-def test_outliers_make_implausible_cameras():
+def test_outliers_make_implausible_cameras_and_without_sizes_nothing_is_known():
     rng = np.random.default_rng(1)
     x1, x2 = (rng.uniform(0, [1024, 768], (200, 8, 2)) for _ in range(2))
     models = np.array([F for a, b in zip(x1, x2, strict=True) if (F := eight_point(a, b)) is not None])
     assert np.median(camera_plausibility(models, SIZES)) < 0.9
     assert (camera_plausibility(models, SIZES) <= 1).all()
-
-
-def test_without_sizes_nothing_is_known():
     models = np.random.default_rng(0).normal(size=(3, 3, 3))
     assert (camera_plausibility(models, None) == 1).all()
     assert camera_plausibility(np.empty((0, 3, 3)), SIZES).shape == (0,)

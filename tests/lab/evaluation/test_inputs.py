@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import epiprior.matching.pair
+from calls import note_calls
 from epiprior.errors import SettingsError
-from epiprior.features.detect import detect_features
 from epiprior.presets import find_preset
 from epiprior.rank import rank_matches
 from epiprior_lab.compute.source_graph import source_files
@@ -16,11 +16,6 @@ from epiprior_lab.compute.tasks import single_threaded
 from epiprior_lab.evaluation import inputs
 from epiprior_lab.features import detection
 from epiprior_lab.pairsets import DatasetError
-
-
-def test_unknown_input_is_named(pairs):
-    with pytest.raises(SettingsError, match="'lowe'"):
-        inputs.match_pair(pairs[0], ("lowe",))
 
 
 def test_shared_features_and_files_change_nothing(pairs, tiny_model, tmp_path):
@@ -37,21 +32,16 @@ def test_shared_features_and_files_change_nothing(pairs, tiny_model, tmp_path):
     assert min(got.features["default"]) > 300
 
 
-def test_matches_do_not_depend_on_estimators():
+def test_matches_do_not_depend_on_estimators_and_an_unknown_input_is_named(pairs):
     """So that a changed estimator leaves stored matches as they are."""
-    files = source_files(Path(inputs.__file__))
-    assert not [file for file in files if file.parent.name == "estimators"]
+    assert not [file for file in source_files(Path(inputs.__file__)) if file.parent.name == "estimators"]
+    with pytest.raises(SettingsError, match="'lowe'"):
+        inputs.match_pair(pairs[0], ("lowe",))
 
 
 def test_features_are_detected_once_for_all_inputs(pairs, tiny_model, monkeypatch):
-    detected = []
-
-    def counted(photograph, settings):
-        detected.append(photograph)
-        return detect_features(photograph, settings)
-
     wanted = {name: inputs.match_pair(pairs[0], (name,)).sets[name] for name in ("snn", "generalized", "default")}
-    monkeypatch.setattr(detection, "detect_features", counted)
+    detected = note_calls(monkeypatch, detection, "detect_features")
     monkeypatch.setattr(epiprior.matching.pair, "detect_features", None)
     got = inputs.match_pair(pairs[0], tuple(wanted)).sets
     assert len(detected) == 2
@@ -83,7 +73,7 @@ def test_matches_of_a_peer_are_kept_beside_our_own(pairs, relief, tmp_path):
         inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path)
 
 
-def test_damaged_matches_of_a_peer_are_named(relief, tmp_path):
+def test_matches_of_a_peer_may_have_features_of_their_own_and_damaged_ones_are_named(relief, tmp_path):
     good = dict(np.load(relief.parent / "peers" / "relief" / "twin" / "relief-0.npz"))
     for change, message in (
         ({"scale1": good["scale1"][:-1]}, "scale1 has shape"),
@@ -98,9 +88,6 @@ def test_damaged_matches_of_a_peer_are_named(relief, tmp_path):
             inputs.read_peer_matches(tmp_path / "q.npz")
     with pytest.raises(DatasetError, match="absent"):
         inputs.read_peer_matches(tmp_path / "absent.npz")
-
-
-def test_matches_of_a_peer_with_features_of_its_own(relief, tmp_path):
     whole = np.load(relief.parent / "peers" / "relief" / "twin" / "relief-0.npz")
     values = {name: whole[name] for name in ("x1", "x2", "feature1", "feature2")}
     np.savez(tmp_path / "q.npz", **values, features=np.array([2048, 1500]))

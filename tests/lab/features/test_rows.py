@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import epiprior.matching.pair
+from calls import note_calls
 from epiprior.matching.pair import prepare_pair, roll_hypotheses
 from epiprior.presets import find_preset
 from epiprior.ranking import hypothesis
@@ -29,14 +30,7 @@ def equal(a, b):
 
 def test_presets_together_give_what_each_gives_alone(pair, monkeypatch):
     alone = {name: [rows.rows_to_bytes(each) for each in rows.extract_rows(pair, (name,))[name]] for name in PRESETS}
-    detected = []
-    detect_features = detection.detect_features
-
-    def counted(photograph, settings):
-        detected.append(photograph)
-        return detect_features(photograph, settings)
-
-    monkeypatch.setattr(detection, "detect_features", counted)
+    detected = note_calls(monkeypatch, detection, "detect_features")
     monkeypatch.setattr(epiprior.matching.pair, "detect_features", None)
     together = rows.extract_rows(pair, PRESETS)
     assert len(detected) == 4

@@ -54,13 +54,9 @@ def test_pixels_and_truth_change_alike(root, tmp_path, change):
     assert pairs["given-homography"].scene == "given-a scene"
     for name, pair in pairs.items():
         before = given[name]
-        size1, size2 = pair.sizes()
-        width, height = before.sizes()[1]
-        assert size1 == before.sizes()[0]
-        assert (
-            size2
-            == {"turned90": (height, width), "turned180": (width, height), "shrunk4": (width // 4, height // 4)}[change]
-        )
+        size1, (width, height) = before.sizes()
+        size2 = {"turned90": (height, width), "shrunk4": (width // 4, height // 4)}.get(change, (width, height))
+        assert pair.sizes() == (size1, size2)
         if name == "given-cameras":
             points = np.array([[0.5, 0.2, 9.0], [-1.0, 0.4, 12.0], [1.0, -0.7, 20.0]])
             x2, _ = before.camera2.project(points)
@@ -80,15 +76,13 @@ def test_pixels_and_truth_change_alike(root, tmp_path, change):
 
 
 def test_pairs_are_chosen_by_rule():
-    sets = {
-        name: [SimpleNamespace(pair_id=f"{k}") for k in range(count)]
-        for name, count in (("a", EVERY + 2), ("b", EVERY))
-    }
+    pairs = [SimpleNamespace(pair_id=f"{k}") for k in range(EVERY + 2)]
+    sets = {"a": pairs, "b": pairs[:EVERY]}
     assert list(chosen_pairs(sets)) == ["a-0", f"a-{EVERY}", f"b-{EVERY - 2}"]
     assert list(chosen_pairs(sets, without=["0"])) == ["a-1", f"a-{EVERY + 1}"]
 
 
-def test_sets_are_made_anew(root, tmp_path):
+def test_sets_are_made_anew_and_depth_maps_refused(root, tmp_path):
     assert make_changed_sets(("fox", "given"), ("given",), folder=tmp_path) == []
     (made,) = make_changed_sets(("fox", "turned90"), ("given",), without=("cameras",), folder=tmp_path)
     assert [pair.pair_id for pair in read_pair_set(made).pairs] == ["given-control_points"]
@@ -96,9 +90,6 @@ def test_sets_are_made_anew(root, tmp_path):
     make_changed_sets(("turned90",), ("given",), folder=tmp_path)
     assert not (made / "images" / "left.png").exists()
     assert [pair.pair_id for pair in read_pair_set(made).pairs] == ["given-cameras"]
-
-
-def test_depth_maps_are_refused(tmp_path):
     write_pair_set(tmp_path / "given", [files("p")])
     with pytest.raises(DatasetError, match="depth maps"):
         write_changed_set(tmp_path / "out", {"given-p": read_pair_set(tmp_path / "given").pairs[0]}, "turned90")

@@ -13,13 +13,15 @@ from epiprior_lab.pairsets.files import DatasetError, encode_depth, image_size, 
 from epiprior_lab.scenes.photography import encode_jpeg
 from worlds import HEIGHT, WIDTH, camera_at
 
+CAMERAS = camera_at(-1.0), camera_at(1.5, roll_deg=10)
+
 
 def files(pair_id="p", **changes):
     jpeg = encode_jpeg(np.full((HEIGHT, WIDTH, 3), 90, np.uint8), 90)
     depth = np.full((HEIGHT, WIDTH), np.inf, np.float32)
     depth[50:] = np.linspace(2, 30, WIDTH, dtype=np.float32)
     values = {"pair_id": pair_id, "scene": f"scene of {pair_id}", "difficulty": "angle=3deg;overlap=0.5"}
-    values |= {"camera1": camera_at(-1.0), "camera2": camera_at(1.5, roll_deg=10), "jpeg1": jpeg, "jpeg2": jpeg}
+    values |= {"camera1": CAMERAS[0], "camera2": CAMERAS[1], "jpeg1": jpeg, "jpeg2": jpeg}
     return PairFiles(**(values | {f"depth{side}": encode_depth(depth) for side in (1, 2)} | changes))
 
 
@@ -35,21 +37,24 @@ def replace_in(path, old, new):
     path.write_text(text.replace(old, new, 1))
 
 
+def seen_by_both(count, cameras=CAMERAS):
+    """Points as both cameras of a pair see them."""
+    x1 = np.random.default_rng(0).uniform(80, 160, (count, 2))
+    return x1, reproject(*cameras, x1, np.linspace(9, 14, count))[0]
+
+
 def test_what_is_written_is_read_back(root, tmp_path):
     pair_set = read_pair_set(root)
-    assert pair_set.name == "family"
-    assert [pair.pair_id for pair in pair_set.pairs] == ["p", "q"]
+    assert (pair_set.name, [pair.pair_id for pair in pair_set.pairs]) == ("family", ["p", "q"])
     pair, wanted = pair_set.pairs[1], files("q")
     assert (pair.scene, pair.difficulty) == ("scene of q", "angle=3deg;overlap=0.5")
     for got, want in ((pair.camera1, wanted.camera1), (pair.camera2, wanted.camera2)):
-        for name in ("K", "R", "t"):
-            np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
+        np.testing.assert_array_equal(np.column_stack([got.K, got.R, got.t]), np.column_stack([want.K, want.R, want.t]))
         assert (got.width, got.height) == (WIDTH, HEIGHT)
     depth1, _ = pair.depths()
     assert np.isinf(depth1[:50]).all()
     np.testing.assert_allclose(depth1[50], np.linspace(2, 30, WIDTH), rtol=1e-5)
-    assert len(pair.files) == 4
-    assert all(path.is_file() for path in pair.files)
+    assert [path.is_file() for path in pair.files] == [True] * 4
     pairsets.write_pair_set(tmp_path / "again", [files("p"), files("q")])  # gives the same bytes
     for path in sorted(root.rglob("*.*")):
         assert path.read_bytes() == (tmp_path / "again" / path.relative_to(root)).read_bytes(), path
@@ -61,31 +66,24 @@ def test_what_is_written_is_read_back(root, tmp_path):
 
 
 def test_control_points_are_found_in_the_set_or_in_another_folder(root, tmp_path):
-    x1 = np.array([[101.25, 60.0], [103.0, 62.0]])
-    x2, _ = reproject(camera_at(-1.0), camera_at(1.5, roll_deg=10), x1, np.array([9.0, 10.0]))
-    x2 = np.round(x2, 6)
+    x1, x2 = np.round(seen_by_both(2), 6)
     with pytest.raises(DatasetError, match=r"'p' of .* has no control points"):
         read_pair_set(root).pairs[0].control_points()
     pairsets.write_control_points(tmp_path / "points" / "p.csv", x1, x2)
-    pair = read_pair_set(root, tmp_path / "points").pairs[0]
-    np.testing.assert_array_equal(pair.control_points()[0], x1)
-    np.testing.assert_array_equal(pair.control_points()[1], x2)
+    np.testing.assert_array_equal(read_pair_set(root, tmp_path / "points").pairs[0].control_points(), (x1, x2))
     with pytest.raises(DatasetError, match="nowhere"):
         read_pair_set(root, tmp_path / "nowhere")
-    pairsets.write_control_points(root / "control_points" / "p.csv", np.empty((0, 2)), np.empty((0, 2)))
+    pairsets.write_control_points(root / "control_points" / "p.csv", x1[:0], x2[:0])
     assert [x.shape for x in read_pair_set(root).pairs[0].control_points()] == [(0, 2), (0, 2)]
 
 
-def test_encoded_depth_is_close_and_never_nearer_than_its_precision(tmp_path):
+def test_depth_and_other_arrays_are_kept_and_the_same_each_time(tmp_path):
     depth = np.random.default_rng(0).uniform(0.5, 500, (40, 30)).astype(np.float32)
     depth[0, 0], depth[0, 1] = np.inf, 0.0
     (tmp_path / "d.npz").write_bytes(encode_depth(depth))
     got = read_depth(tmp_path / "d.npz")
     assert np.isinf(got[0, :2]).all()
     np.testing.assert_allclose(got[1:], depth[1:], rtol=1e-5)
-
-
-def test_an_archive_holds_its_arrays_and_is_the_same_each_time(tmp_path):
     text = np.array(["a", "bc"])
     arrays = {"ints": np.arange(20_000), "text": text, "scalar": np.float32(3), "none": np.empty((0, 4))}
     content = npz_bytes(arrays)
@@ -130,38 +128,33 @@ def test_damage_in_what_is_read_later_is_named_too(root):
     (root / "depth" / "p_1.npz").write_bytes(b"no archive")
     (root / "depth" / "q_1.npz").write_bytes(encode_depth(np.ones((3, 4), np.float32)))
     first, second = read_pair_set(root).pairs
-    with pytest.raises(DatasetError, match=r"p_1\.npz: cannot be read"):
-        first.depths()
-    with pytest.raises(DatasetError, match=r"q_1\.npz: depth has shape \(3, 4\)"):
-        second.depths()
-    with pytest.raises(DatasetError, match=r"p_1\.npz: cannot be read"):
-        check_pair_set(root)
+    damaged, small = r"p_1\.npz: cannot be read", r"q_1\.npz: depth has shape \(3, 4\)"
+    for look, message in ((first.depths, damaged), (second.depths, small), (lambda: check_pair_set(root), damaged)):
+        with pytest.raises(DatasetError, match=message):
+            look()
 
 
 def test_control_points_are_checked_when_a_set_is_read(root):
     points = root / "control_points" / "p.csv"
-    points.parent.mkdir()
-    points.write_text("x1,y1,x2,y2\n1,2,3,4\n1,2,three,4\n")
-    with pytest.raises(DatasetError, match=r"p\.csv, line 3: x2 = 'three'"):
-        read_pair_set(root)
-    points.write_text("x1,y1,x2,y2\n1,2,3,4\n1,240,3,500\n")
-    with pytest.raises(DatasetError, match=r"p\.csv, line 3: point 3, 500 lies outside image 2, 320 x 240"):
-        read_pair_set(root)
-    x1 = np.random.default_rng(0).uniform(60, 180, (20, 2))
-    x2, _ = reproject(camera_at(-1.0), camera_at(1.5, roll_deg=10), x1, np.linspace(9, 14, 20))
+    x1, x2 = seen_by_both(20)
     pairsets.write_control_points(points, x1, x2)
     read_pair_set(root)
     pairsets.write_control_points(points, x2, x1)
     with pytest.raises(DatasetError, match=r"pairs\.csv, line 2: the F of the cameras .* its control points .*p\.csv"):
         read_pair_set(root)
+    for row, message in (
+        ("1,2,three,4", "x2 = 'three'"),
+        ("1,240,3,500", "point 3, 500 lies outside image 2, 320 x 240"),
+    ):
+        points.write_text(f"x1,y1,x2,y2\n1,2,3,4\n{row}\n")
+        with pytest.raises(DatasetError, match=rf"p\.csv, line 3: {message}"):
+            read_pair_set(root)
 
 
 def test_an_image_of_another_size_than_its_camera_is_named(root):
+    small = encode_jpeg(np.zeros((HEIGHT, 100, 3), np.uint8), 90)
     for content, message in (
-        (
-            encode_jpeg(np.zeros((HEIGHT, 100, 3), np.uint8), 90),
-            r"pairs\.csv, line 3: .*q_2\.jpg is 100 x 240, .* 320 x 240",
-        ),
+        (small, r"pairs\.csv, line 3: .*q_2\.jpg is 100 x 240, .* 320 x 240"),
         (b"no image", r"q_2\.jpg: is no image"),
     ):
         (root / "images" / "q_2.jpg").write_bytes(content)
@@ -179,13 +172,11 @@ def test_a_matrix_as_ground_truth(root, kind, truth):
     path.write_text("0 0 0\n0 0 -1\n0 0 1\n")
     with pytest.raises(DatasetError, match=r"p\.txt: the matrix (is singular|has a rank below 2)"):
         read_pair_set(root)
-    cameras, x1 = (camera_at(-1.0), camera_at(1.5)), np.random.default_rng(0).uniform(80, 160, (20, 2))
+    cameras = camera_at(-1.0), camera_at(1.5)
+    (x1, x2), matrix = seen_by_both(20, cameras), fundamental_from_cameras(*cameras)
     if kind == "homography":
         matrix = np.array([[0.9, 0.1, 20.0], [-0.1, 1.1, 3.0], [1e-4, 0, 1.0]])
         x2 = transfer(matrix, x1)
-    else:
-        matrix = fundamental_from_cameras(*cameras)
-        x2, _ = reproject(*cameras, x1, np.linspace(9, 14, 20))
     write_matrix(path, -5 * matrix)
     pair, other = read_pair_set(root).pairs
     got = getattr(pair, kind)()
@@ -207,17 +198,15 @@ def test_transfer_distance_counts_the_larger_side():
     x1 = np.array([[10.0, 0.0], [10.0, 0.0]])
     np.testing.assert_allclose(transfer_distance(H, x1, np.array([[20.0, 0.0], [22.0, 0.0]])), [0.0, 2.0])
     np.testing.assert_allclose(transfer_distance(np.linalg.inv(H), np.array([[22.0, 0.0]]), x1[:1]), [2.0])
-    at_infinity = np.array([[1.0, 0, 0], [0, 1, 0], [-0.1, 0, 1]])
-    assert np.isinf(transfer_distance(at_infinity, x1[:1], x1[:1])).all()
+    assert np.isinf(transfer_distance(np.array([[1.0, 0, 0], [0, 1, 0], [-0.1, 0, 1]]), x1[:1], x1[:1])).all()
 
 
 def test_turned_photographs_have_the_size_that_opencv_sees(tmp_path):
     exif = PillowImage.Exif()
     exif[0x0112] = 6
-    for suffix in ("jpg", "png"):
-        PillowImage.fromarray(np.zeros((20, 30, 3), np.uint8)).save(tmp_path / f"turned.{suffix}", exif=exif)
-        assert image_size(tmp_path / f"turned.{suffix}") == (20, 30)
-        assert cv2.imread(str(tmp_path / f"turned.{suffix}")).shape == (30, 20, 3)
+    for path in (tmp_path / "turned.jpg", tmp_path / "turned.png"):
+        PillowImage.fromarray(np.zeros((20, 30, 3), np.uint8)).save(path, exif=exif)
+        assert image_size(path) == cv2.imread(str(path)).shape[1::-1] == (20, 30)
 
 
 def test_known_sets_say_whether_they_are_present(root):

@@ -66,16 +66,13 @@ def kusvod2(tmp_path):
     return folder
 
 
-def test_kusvod2(kusvod2, tmp_path):
+def test_kusvod2_and_its_damage(kusvod2, tmp_path):
     (pair,) = write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2)).pairs
     assert [pair.pair_id, pair.scene, pair.difficulty, pair.truth] == 2 * ["shout"] + ["30 manual points", "epipolar"]
     assert_points(read_pair_set(tmp_path / "set").pairs[0], *matches())
     assert (tmp_path / "set/images/shoutA.png").read_bytes() == (kusvod2 / "shoutA.png").read_bytes()
     (from_one,) = find_match_files("kusvod2", kusvod2, origin=1)
     np.testing.assert_allclose(from_one.points, np.array(matches()) - 1)
-
-
-def test_damage_of_kusvod2_is_named(kusvod2):
     path = kusvod2 / "shout_vpts.mat"
     (kusvod2 / "shoutB.png").unlink()
     cut, four_rows = path.read_bytes()[:200], {"validation": {"pts": np.ones((4, 9))}}
@@ -111,7 +108,7 @@ def test_adelaidermf_from_mat(tmp_path):
     assert blue < 50 < 200 < red
 
 
-def test_adelaidermf_from_labelled_text(tmp_path):
+def test_adelaidermf_from_labelled_text_and_of_one_plane(tmp_path):
     x1, x2, labels = labelled()
     folder = pair_of_pictures(tmp_path / "text", "hall")
     (folder / "hall_pts.txt").write_text(lines(np.vstack([homogeneous(x1, x2), labels]).T))
@@ -119,9 +116,6 @@ def test_adelaidermf_from_labelled_text(tmp_path):
     (pair,) = read_pair_set(tmp_path / "set").pairs
     assert_points(pair, x1[labels > 0], x2[labels > 0])
     assert sampson_distance(fundamental_from_cameras(*CAMERAS), *pair.control_points()).max() < 1e-4
-
-
-def test_matches_of_one_plane_are_called_so(tmp_path):
     x1, _ = matches(30)
     pair_of_pictures(tmp_path, "flat")
     (tmp_path / "flat_pts.txt").write_text(lines(np.vstack([homogeneous(x1, transfer(H, x1)), np.ones(30)]).T))
@@ -130,34 +124,27 @@ def test_matches_of_one_plane_are_called_so(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("damage", "message"),
     [
         ("1 2 1 3 4 1 1\n1 2 1 3 four 1 1\n", r"hall_pts\.txt, line 2: 'four' is not a finite number"),
         ("1 2 1 3 4 1\n", r"hall_pts\.txt, line 1: 6 numbers, expected 7"),
         ("1 2 1 3 4 1 0\n", r"hall_pts\.txt: no match is labelled as right"),
-    ],
-)
-def test_damage_of_labelled_text_is_named(tmp_path, content, message):
-    pair_of_pictures(tmp_path, "hall")
-    (tmp_path / "hall_pts.txt").write_text(content)
-    with pytest.raises(DatasetError, match=message):
-        find_match_files("adelaidermf", tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
         ({"label": np.ones(7)}, r"hall\.mat: 7 labels for 40 matches"),
         ({"data": np.full((6, 40), np.nan)}, r"hall\.mat: data holds a value that is not finite"),
         ({"img2": np.zeros((4, 5))}, r"hall\.mat: img2 is no 8-bit image"),
         ({"img1": None}, r"hall\.mat: holds no img1"),
     ],
+    ids=range(7),
 )
-def test_damage_of_adelaidermf_is_named(tmp_path, change, message):
-    x1, x2, labels = labelled()
-    grey = np.zeros((HEIGHT, WIDTH), np.uint8)
-    content = {"img1": grey, "img2": grey, "data": homogeneous(x1, x2), "label": labels} | change
-    scipy.io.savemat(tmp_path / "hall.mat", {name: value for name, value in content.items() if value is not None})
+def test_damage_of_adelaidermf_is_named(tmp_path, damage, message):
+    if isinstance(damage, str):
+        pair_of_pictures(tmp_path, "hall")
+        (tmp_path / "hall_pts.txt").write_text(damage)
+    else:
+        x1, x2, labels = labelled()
+        grey = np.zeros((HEIGHT, WIDTH), np.uint8)
+        content = {"img1": grey, "img2": grey, "data": homogeneous(x1, x2), "label": labels} | damage
+        scipy.io.savemat(tmp_path / "hall.mat", {name: value for name, value in content.items() if value is not None})
     with pytest.raises(DatasetError, match=message):
         find_match_files("adelaidermf", tmp_path)
 
@@ -217,7 +204,7 @@ def usac(tmp_path):
     return tmp_path / "fundmatrix"
 
 
-def test_usac_needs_points_by_hand(usac, tmp_path):
+def test_usac_needs_points_by_hand_or_is_fitted_and_its_damage_is_named(usac, tmp_path):
     with pytest.raises(DatasetError, match=r"no ground truth.*epiprior-lab label .*im1\.jpg .*im2\.jpg --out POINTS"):
         find_usac(usac)
     x1, x2 = matches(16, seed=1)
@@ -227,16 +214,10 @@ def test_usac_needs_points_by_hand(usac, tmp_path):
     (pair,) = read_pair_set(tmp_path / "set").pairs
     assert pair.difficulty == "points by hand; 80 matches"
     assert_points(pair, x1, x2)
-
-
-def test_usac_fitted_to_its_matches_says_so(usac):
     (pair,) = find_usac(usac, fit=True)
     assert pair.difficulty.startswith("fitted")
     assert 55 <= len(pair.points[0]) <= 66
     assert np.median(sampson_distance(fundamental_from_cameras(*CAMERAS), *pair.points)) < 0.01
-
-
-def test_damage_of_usac_is_named(usac):
     path = usac / "test1/orig_pts.txt"
     path.write_text(path.read_text().replace("80\n", "81\n", 1))
     with pytest.raises(DatasetError, match=r"orig_pts\.txt: line 1 announces 81 rows, there are 80"):
@@ -254,34 +235,28 @@ def listed(tmp_path):
     for number, name in enumerate((FIRST, SECOND, THIRD)):
         picture(tmp_path / "list" / name, number)
     x1, x2 = matches(12)
-    texts = {
-        "a": "% x1 y1 x2 y2\n" + lines(np.hstack([x1, x2])).replace(" ", "\t"),
-        "left": lines(x1),
-        "right": lines(x2),
-    }
-    for name, text in texts.items():
-        (tmp_path / "list" / f"{name}.txt").write_text(text)
-    rows = f"{FIRST},{SECOND},a.txt,\n{FIRST},{THIRD},left.txt,right.txt\n"
-    (tmp_path / "list" / "pairs.csv").write_text(f"image1,image2,points,points2\n{rows}")
+    both = "% x1 y1 x2 y2\n" + lines(np.hstack([x1, x2])).replace(" ", "\t")
+    rows = f"image1,image2,points,points2\n{FIRST},{SECOND},a.txt,\n{FIRST},{THIRD},left.txt,right.txt\n"
+    for name, text in (("a.txt", both), ("left.txt", lines(x1)), ("right.txt", lines(x2)), ("pairs.csv", rows)):
+        (tmp_path / "list" / name).write_text(text)
     return tmp_path / "list"
 
 
-def test_lists_of_pairs(listed, tmp_path):
+def test_lists_of_pairs_and_known_sets_that_have_their_number_of_pairs(listed, tmp_path):
     write_found(tmp_path / "set", find_pairs(listed / "pairs.csv"))
     pairs = read_pair_set(tmp_path / "set").pairs
     assert [pair.pair_id for pair in pairs] == [f"object0041.view01_object0041.view0{number}" for number in (2, 3)]
     for pair in pairs:
         assert_points(pair, *matches(12))
-
-
-def test_a_known_set_has_its_number_of_pairs_and_knows_scenes(listed, monkeypatch):
-    with pytest.raises(DatasetError, match=r"pairs\.csv: 2 pairs, ZuBuD1 has 137"):
-        find_pairs(listed / "pairs.csv", known="zubud1")
-    with pytest.raises(DatasetError, match=r"unknown set 'zubud'; there are zubud1"):
-        find_pairs(listed / "pairs.csv", known="zubud")
-    zubud = next(known for known in known_sets() if known.name == "zubud2")
-    assert zubud.scene("object0041.view01") == "object0041"
-    assert next(known for known in known_sets() if known.name == "blogs").scene("corridor1") == "corridor"
+    for name, message in (
+        ("zubud1", r"pairs\.csv: 2 pairs, ZuBuD1 has 137"),
+        ("zubud", "unknown set 'zubud'; .* zubud1"),
+    ):
+        with pytest.raises(DatasetError, match=message):
+            find_pairs(listed / "pairs.csv", known=name)
+    known = {known.name: known for known in known_sets()}
+    assert known["zubud2"].scene("object0041.view01") == "object0041"
+    assert known["blogs"].scene("corridor1") == "corridor"
 
 
 @pytest.mark.parametrize("kind", ["homography", "fundamental"])
@@ -334,12 +309,13 @@ def test_rows_of_text_in_several_spellings(tmp_path):
         np.testing.assert_array_equal(read_rows(path, (4,)), [[1, 2, 3, 4]])
     path.write_text("")
     assert read_rows(path, (4, 6)).shape == (0, 4)
-    path.write_text("1 2 3 4\n1 2 3 4 5 6\n")
-    with pytest.raises(DatasetError, match="line 2: 6 numbers, expected 4"):
-        read_rows(path, (4, 6))
-    path.write_text("1 2 nan 4\n")
-    with pytest.raises(DatasetError, match="line 1: 'nan'"):
-        read_rows(path, (4,))
+    for content, message in (
+        ("1 2 3 4\n1 2 3 4 5 6\n", "line 2: 6 numbers, expected 4"),
+        ("1 2 nan 4\n", "line 1: 'nan'"),
+    ):
+        path.write_text(content)
+        with pytest.raises(DatasetError, match=message):
+            read_rows(path, (4, 6))
 
 
 def test_smaller_images_take_everything_with_them(tmp_path):
@@ -358,15 +334,24 @@ def test_smaller_images_take_everything_with_them(tmp_path):
     np.testing.assert_allclose(got.fundamental(), normalise_fundamental(F), atol=1e-9)
 
 
-def test_a_pair_set_is_not_overwritten_and_photographs_do_not_share_a_name(kusvod2, tmp_path):
-    with pytest.raises(OutputError, match="exists already"):
-        write_found(kusvod2, find_match_files("kusvod2", kusvod2))
+def test_a_pair_set_is_not_overwritten_and_all_is_checked_before_anything_is_written(kusvod2, tmp_path):
     (pair,) = find_match_files("kusvod2", kusvod2)
-    same = dataclasses.replace(pair, pair_id="other", image1=importers.Photograph(name="shoutA", path=pair.image2.path))
-    with pytest.raises(DatasetError, match=r"shoutA\.png and .*shoutB\.png would both become images/shoutA"):
-        write_found(tmp_path / "set", [pair, same])
+    with pytest.raises(OutputError, match="exists already"):
+        write_found(kusvod2, [pair])
     with pytest.raises(DatasetError, match="no pair was found"):
         write_found(tmp_path / "none", [])
+    (tmp_path / "broken.png").write_bytes(pair.image1.path.read_bytes()[:60])
+    broken = importers.Photograph(name="broken", path=tmp_path / "broken.png")
+    same = {"pair_id": "other", "image1": importers.Photograph(name="shoutA", path=pair.image2.path)}
+    for change, kind, message in (
+        (same, DatasetError, r"shoutA\.png and .*shoutB\.png would both become images/shoutA"),
+        ({"image2": broken}, ImageError, r"broken\.png: not an image"),
+        ({"pair_id": "a/b"}, DatasetError, "pair 'a/b'"),
+        ({"pair_id": 200 * "é"}, DatasetError, "250 bytes"),
+    ):
+        with pytest.raises(kind, match=message):
+            write_found(tmp_path / "new", [pair, dataclasses.replace(pair, **change)])
+    assert not list(tmp_path.glob("n*"))
 
 
 def test_names_of_any_bytes_are_kept_and_files_of_macos_are_skipped(kusvod2, tmp_path):
@@ -379,38 +364,23 @@ def test_names_of_any_bytes_are_kept_and_files_of_macos_are_skipped(kusvod2, tmp
     assert_points(pair, *matches())
 
 
-def test_images_and_names_are_checked_before_anything_is_written(kusvod2, tmp_path):
-    (pair,) = find_match_files("kusvod2", kusvod2)
-    (tmp_path / "broken.png").write_bytes(pair.image1.path.read_bytes()[:60])
-    broken = importers.Photograph(name="broken", path=tmp_path / "broken.png")
-    for change, kind, message in (
-        ({"image2": broken}, ImageError, r"broken\.png: not an image"),
-        ({"pair_id": "a/b"}, DatasetError, "pair 'a/b'"),
-        ({"pair_id": 200 * "é"}, DatasetError, "250 bytes"),
-    ):
-        with pytest.raises(kind, match=message):
-            write_found(tmp_path / "new", [pair, dataclasses.replace(pair, **change)])
-    assert not list(tmp_path.glob("new*"))
-
-
 def test_commands(kusvod2, tmp_path):
     def run(*arguments):
         return CliRunner().invoke(app, [*map(str, arguments)])
 
-    real = tmp_path / "real"
-    done = run("import", "kusvod2", kusvod2, "--out", real / "kusvod2")
+    own = tmp_path / "real" / "kusvod2"
+    done = run("import", "kusvod2", kusvod2, "--out", own)
     assert done.exit_code == 0, done.output
     assert "1 pair of 1 scene" in done.stdout
-    assert "1 pair of 1 scene, truth: epipolar" in run("check-set", real / "kusvod2").stdout
-    assert run("sets", real).stdout.count("not present") == len(known_sets()) - 1
+    assert "1 pair of 1 scene, truth: epipolar" in run("check-set", own).stdout
+    assert run("sets", own.parent).stdout.count("not present") == len(known_sets()) - 1
     assert sum(known.pairs for known in known_sets(paper=True)) == 883
-    for source in ("colmap", "strecha", "adelaidermf", "oxford", "hpatches", "usac", "pairs", "photos"):
-        done = run("import", source, tmp_path / "nowhere", "--out", tmp_path / "x")
-        assert isinstance(done.exception, EpipriorError), source
-        assert "nowhere" in str(done.exception)
-    image = real / "kusvod2" / "images" / "shoutB.png"
+    image = own / "images" / "shoutB.png"
     image.write_bytes(image.read_bytes()[:200])
-    read_pair_set(real / "kusvod2")
-    done = run("check-set", real / "kusvod2")  # reads images too
-    assert isinstance(done.exception, ImageError)
-    assert "shoutB.png" in str(done.exception)
+    read_pair_set(own)  # unlike `check-set`, this reads no image
+    importers = ("colmap", "strecha", "adelaidermf", "oxford", "hpatches", "usac", "pairs", "photos")
+    calls = [(("import", name, tmp_path / "nowhere", "--out", tmp_path / "x"), "nowhere") for name in importers]
+    for arguments, culprit in (*calls, (("check-set", own), "shoutB.png")):
+        done = run(*arguments)
+        assert isinstance(done.exception, EpipriorError), arguments
+        assert culprit in str(done.exception)

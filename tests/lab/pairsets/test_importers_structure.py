@@ -21,11 +21,7 @@ from epiprior_lab.scenes.world import Frame, WorldBuilder, box
 from pictures import save, texture
 from worlds import OVERCAST_FROM_ASIDE, coloured, no_shadows
 
-# --- COLMAP models
-
-
-EVERY = PairChoice(min_angle_deg=1, max_angle_deg=179)
-MOST = PairChoice(min_angle_deg=5, max_angle_deg=175)
+EVERY, MOST = (PairChoice(min_angle_deg=low, max_angle_deg=180 - low) for low in (1, 5))
 
 
 @pytest.fixture(scope="module")
@@ -70,11 +66,9 @@ def test_colmap_cameras_are_undistorted_and_count_from_zero(workspace, tmp_path)
     for image_path, camera in ((pair.image1, pair.camera1), (pair.image2, pair.camera2)):
         image = images[image_path.stem]
         seen = [point for point in image.points2D if point.has_point3D()]
-        world = np.array([model.points3D[point.point3D_id].xyz for point in seen])
+        ours, _ = camera.project(np.array([model.points3D[point.point3D_id].xyz for point in seen]))
         rays = image.camera.cam_from_img(np.array([point.xy for point in seen]))
-        ours, _ = camera.project(world)
-        theirs = np.column_stack([rays, np.ones(len(rays))]) @ camera.K.T
-        np.testing.assert_allclose(ours, theirs[:, :2], atol=1e-3)
+        np.testing.assert_allclose(ours, (np.column_stack([rays, np.ones(len(rays))]) @ camera.K.T)[:, :2], atol=1e-3)
         assert abs(camera.K[0, 2] - (camera.width / 2 - 0.5)) < 1e-6
         assert cv2.imread(str(image_path)).shape[:2] == (camera.height, camera.width)
 
@@ -93,15 +87,14 @@ def test_undistorted_pixels_belong_to_undistorted_cameras(workspace, tmp_path):
     photograph = find_colmap(workspace / "sparse/0", images=tmp_path / "images", choice=EVERY)[0].image1
     plain = photograph.develop()[:, :, 0].astype(float)
     middle = (plain * np.arange(plain.shape[0])[:, None]).sum(axis=0)[5:-5] / plain.sum(axis=0)[5:-5]
-    wanted = photograph.camera.K[1, 1] * -0.24 + photograph.camera.K[1, 2]
-    np.testing.assert_allclose(middle, wanted, atol=0.4)
+    np.testing.assert_allclose(middle, photograph.camera.K[1, 1] * -0.24 + photograph.camera.K[1, 2], atol=0.4)
 
 
 def angles_of(found):
     return [float(pair.difficulty.split("deg")[0].removeprefix("angle=")) for pair in found]
 
 
-def test_pairs_are_those_that_are_asked_for(workspace):
+def test_a_model_of_text_is_the_same_and_pairs_are_those_that_are_asked_for(workspace, model):
     every = find_colmap(workspace, choice=EVERY)
     angles = angles_of(every)
     assert len(every) == 15
@@ -116,9 +109,6 @@ def test_pairs_are_those_that_are_asked_for(workspace):
     for wrong in ({"min_angle_deg": 80}, {"max_pairs": 0}, {"min_shared": 3}):
         with pytest.raises(SettingsError):
             PairChoice(**wrong)
-
-
-def test_a_model_of_text_is_the_same(workspace, model):
     ours = find_colmap(workspace, choice=MOST)
     text = find_colmap(model / "text", images=workspace / "images", choice=MOST)
     assert [pair.pair_id for pair in ours] == [pair.pair_id for pair in text]
@@ -127,31 +117,40 @@ def test_a_model_of_text_is_the_same(workspace, model):
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
 def test_damage_of_a_model_is_named(workspace, model, name):
+    def refused(kind, message):
+        with pytest.raises(DatasetError, match=message):
+            find_colmap(model / kind, images=workspace / "images")
+
     path = model / "binary" / f"{name}.bin"
     content = path.read_bytes()
     for length in (5, len(content) // 2, -3):
         path.write_bytes(content[:length])
-        with pytest.raises(DatasetError, match=rf"{name}\.bin: damaged"):
-            find_colmap(model / "binary", images=workspace / "images")
+        refused("binary", rf"{name}\.bin: damaged")
     path = model / "text" / f"{name}.txt"
     rows = path.read_text().splitlines()
     first = next(index for index, row in enumerate(rows) if not row.startswith("#"))
     values = rows[first].split()
     for row, message in ((" ".join([*values[:3], "wide", *values[4:]]), "'wide' is no number"), ("1 2", "2 values")):
         path.write_text("\n".join([*rows[:first], row, *rows[first + 1 :]]) + "\n")
-        with pytest.raises(DatasetError, match=rf"{name}\.txt, line {first + 1}: {message}"):
-            find_colmap(model / "text", images=workspace / "images")
+        refused("text", rf"{name}\.txt, line {first + 1}: {message}")
 
 
-def test_what_is_missing_is_named(workspace, tmp_path):
-    with pytest.raises(DatasetError, match="no COLMAP model"):
-        find_colmap(tmp_path)
-    with pytest.raises(DatasetError, match=r"no image .*camera000001"):
-        find_colmap(workspace, images=tmp_path)
+def test_what_is_missing_and_names_that_a_colmap_model_cannot_hold_are_named(workspace, tmp_path, model):
+    for folder, message in ((tmp_path, "no COLMAP model"), (workspace, r"no image .*camera000001")):
+        with pytest.raises(DatasetError, match=message):
+            find_colmap(folder, images=tmp_path)
     for path in (workspace / "images").iterdir():
         save(tmp_path / path.name, texture(100, 80))
     with pytest.raises(DatasetError, match=r"is 100 x 80, its camera in the model 320 x 240"):
         write_found(tmp_path / "set", find_colmap(workspace, images=tmp_path, choice=EVERY))
+    for file, new, message in (
+        ("text/images.txt", b"Photo 1 of 4", r"line \d+: COLMAP's text holds no name with a blank: 'Photo"),
+        ("binary/images.bin", b"caf\xe9ra000001_frame000001", r"image \d: pycolmap reads no name that is not UTF-8"),
+    ):
+        path = model / file
+        path.write_bytes(path.read_bytes().replace(b"camera000001_frame000001", new))
+        with pytest.raises(DatasetError, match=rf"{path.name}[,:] {message}"):
+            find_colmap(path.parent, images=workspace / "images")
 
 
 def scene_cameras():
@@ -212,31 +211,21 @@ def test_photographs_become_pairs_with_cameras(photographs, tmp_path, caplog):
 
 
 def test_photographs_are_checked_before_any_work(tmp_path, monkeypatch, caplog):
+    def refused(error, message):
+        with pytest.raises(error, match=message):
+            find_photos(tmp_path)
+
     monkeypatch.setattr("epiprior_lab.pairsets.importers.photos._match", lambda _: pytest.fail("work began"))
     for name in ("._a.jpg", "._b.jpg"):
         (tmp_path / name).write_bytes(b"attributes")
-    with pytest.raises(DatasetError, match="0 photographs, expected 3 or more"):
-        find_photos(tmp_path)
+    refused(DatasetError, "0 photographs, expected 3 or more")
     assert caplog.messages == [f"{tmp_path}: 2 files ._* skipped: attributes that macOS keeps"]
     for name in ("a.jpg", "b.jpg", "b.png"):
         save(tmp_path / name, texture(64, 64))
-    with pytest.raises(DatasetError, match=r"b\.jpg and .*b\.png would both become images/b"):
-        find_photos(tmp_path)
+    refused(DatasetError, r"b\.jpg and .*b\.png would both become images/b")
     broken = (tmp_path / "b.png").rename(tmp_path / "c.png")
     broken.write_bytes(broken.read_bytes()[:60])
-    with pytest.raises(ImageError, match=r"c\.png: not an image"):
-        find_photos(tmp_path)
-
-
-def test_names_that_a_colmap_model_cannot_hold_are_named(workspace, model):
-    text = model / "text/images.txt"
-    text.write_text(text.read_text().replace("camera000001_frame000001", "Photo 1 of 4"))
-    with pytest.raises(DatasetError, match=r"images\.txt, line \d+: COLMAP's text holds no name with a blank: 'Photo"):
-        find_colmap(model / "text", images=workspace / "images")
-    binary = model / "binary/images.bin"
-    binary.write_bytes(binary.read_bytes().replace(b"camera000001_frame000001", b"caf\xe9ra000001_frame000001"))
-    with pytest.raises(DatasetError, match=r"images\.bin: image \d: pycolmap reads no name that is not UTF-8"):
-        find_colmap(model / "binary", images=workspace / "images")
+    refused(ImageError, r"c\.png: not an image")
 
 
 def camera_text(camera: Camera) -> str:
@@ -286,12 +275,12 @@ def test_damage_of_camera_files_is_named(tmp_path, line, text, message):
 
 
 def test_photographs_of_camera_files_are_checked(tmp_path):
+    def refused(message):
+        with pytest.raises(DatasetError, match=message):
+            find_strecha(tmp_path)
+
+    refused(r"no file \*\.camera")
     (tmp_path / "a.png.camera").write_text(camera_text(scene_cameras()[0]))
-    with pytest.raises(DatasetError, match=r"a\.png\.camera: no image"):
-        find_strecha(tmp_path)
+    refused(r"a\.png\.camera: no image")
     save(tmp_path / "a.png", texture(100, 80))
-    with pytest.raises(DatasetError, match=r"a\.png\.camera: says 320 x 240, .* is 100 x 80"):
-        find_strecha(tmp_path)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(DatasetError, match=r"no file \*\.camera"):
-        find_strecha(tmp_path / "empty")
+    refused(r"a\.png\.camera: says 320 x 240, .* is 100 x 80")

@@ -16,7 +16,6 @@ from epiprior.ranking.models import TARGETS
 from epiprior_lab.params import ExportedFamilies, TrainParams
 from epiprior_lab.training import comparison
 from epiprior_lab.training.comparison import train
-from epiprior_lab.training.families import FAMILIES
 from epiprior_lab.training.metrics import METRICS
 from epiprior_lab.training.samples import Sample, TargetRows
 from epiprior_lab.training.tables import curves_csv, importances_csv, metrics_csv, seconds_csv, write_training
@@ -25,10 +24,11 @@ from grouped_rows import COLUMNS, make_rows
 
 pytestmark = pytest.mark.slow
 ROWS = make_rows(3000)
+FAMILIES = ("tree", "svm", "lightgbm")
 PARAMS = TrainParams(
     seed=3,
     folds=3,
-    families=tuple(FAMILIES),
+    families=FAMILIES,
     exported=ExportedFamilies(paper="tree", default="lightgbm", confidence="lightgbm"),
     max_rows_per_pair=100,
     max_rows=600,
@@ -46,7 +46,7 @@ def drawn():
     return TargetRows.stack("match", COLUMNS, samples)
 
 
-def test_a_sample_keeps_order_and_knows_its_share():
+def test_a_sample_keeps_order_and_share_and_its_digest_survives_the_file(tmp_path):
     data = drawn()
     assert len(data.pairs) == 24
     for kept, every, share in zip(data.slices, ROWS.slices, data.share, strict=True):
@@ -55,10 +55,6 @@ def test_a_sample_keeps_order_and_knows_its_share():
         positions = [np.flatnonzero((row == rows).all(axis=1))[0] for row in here]
         assert positions == sorted(positions)
     np.testing.assert_array_equal(data.scene, np.repeat(ROWS.scenes, data.lengths))
-
-
-def test_the_digest_tells_rows_apart_and_survives_the_file(tmp_path):
-    data = drawn()
     data.save(tmp_path / "rows.npz")
     assert TargetRows.load(tmp_path / "rows.npz").digest() == data.digest() == drawn().digest()
     changed = drawn()
@@ -71,8 +67,10 @@ def wide(rows, columns):
     return np.tile(rows, (1, len(columns)))[:, : len(columns)].astype(np.float32)
 
 
-def train_in(root, votes):
-    """Train on files of pairs with made-up rows; `votes` gets the first classifier's by preset and pair."""
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Train on files of pairs with made-up rows; also return the first classifier's votes by preset and pair."""
+    root, votes = tmp_path_factory.mktemp("training"), {}
     folders = {preset: root / preset for preset in ("paper", "default")}
     for folder in folders.values():
         folder.mkdir(parents=True)
@@ -98,33 +96,25 @@ def train_in(root, votes):
         patch.setattr(comparison, "read_rows", read_rows)
         patch.setattr(comparison, "match_rows", match_rows)
         patch.setattr(comparison, "second_round_sample", second_round_sample)
-        return train(folders, PARAMS, workers=1, store=root / "store")
+        return train(folders, PARAMS, workers=1, store=root / "store"), votes
 
 
-@pytest.fixture(scope="module")
-def votes():
-    return {}
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory, votes):
-    return train_in(tmp_path_factory.mktemp("training"), votes)
-
-
-def test_all_families_are_compared(trained):
+def test_all_families_that_are_asked_for_are_compared(trained):
+    trained, _ = trained
     assert list(trained) == ["paper", "default"]
     for preset, exported in (("paper", "tree"), ("default", "lightgbm")):
         targets = TARGETS if preset == "default" else TARGETS[:2]
         for found, target in zip(trained[preset], targets, strict=True):
             assert (found.preset, found.exported, found.data.target) == (preset, exported, target)
-            assert list(found.grouped) == list(FAMILIES)
+            assert list(found.grouped) == [*FAMILIES]
             assert all(item.probability.shape == found.data.labels.shape for item in found.grouped.values())
             assert found.ungrouped.calibrated is None
             assert found.platt.a > 0
             assert len(found.refit.parity_rows) == len(found.refit.parity_probability) == 2000
 
 
-def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained, votes):
+def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained):
+    trained, votes = trained
     for preset, (first, *_) in trained.items():
         found = first.grouped[first.exported]
         for pair, kept, every in zip(ROWS.pairs.tolist(), first.data.slices, ROWS.slices, strict=True):
@@ -136,8 +126,9 @@ def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained, votes):
 
 
 def test_runs_to_track(trained):
+    trained, _ = trained
     runs = {run.tags["family"]: run for run in tracked_runs(trained["paper"][1], {"seed": 3})}
-    assert list(runs) == list(FAMILIES)
+    assert list(runs) == [*FAMILIES]
     exported, other = runs["tree"], runs["svm"]
     assert exported.tags == {"preset": "paper", "target": "match", "family": "tree", "exported": "true"}
     assert exported.name == "paper-tree"
@@ -146,8 +137,7 @@ def test_runs_to_track(trained):
             assert {name, f"{name}.deviation", f"calibrated.{name}"} <= run.metrics.keys()
         assert (f"ungrouped.{name}" in exported.metrics, f"ungrouped.{name}" in other.metrics) == (True, False)
     assert all(re.fullmatch(r"[\w./-]+", name) for name in exported.metrics)
-    rows = len(trained["paper"][1].data.rows)
-    assert (exported.parameters["seed"], exported.parameters["rows"]) == (3, rows)
+    assert (exported.parameters["seed"], exported.parameters["rows"]) == (3, len(trained["paper"][1].data.rows))
     assert [set(fold) >= set(METRICS) - {"precision"} for fold in exported.folds] == [True] * 3
     figures = ["precision_recall.png", "reliability.png"]
     assert (sorted(exported.figures), sorted(other.figures)) == (["importances.png", *figures], figures)
@@ -159,7 +149,8 @@ def table(text):
     return list(csv.DictReader(io.StringIO(text)))
 
 
-def test_metrics_table(trained):
+def test_tables_of_metrics_curves_and_importances(trained):
+    trained, _ = trained
     found = trained["paper"][1]
     rows = table(metrics_csv([found]))
     value = {(r["family"], r["grouped"], r["fold"], r["metric"]): float(r["value"]) for r in rows}
@@ -173,41 +164,27 @@ def test_metrics_table(trained):
     assert ("tree", "false", "0", "precision_top_100") not in value
     assert not any("second" in metric for *_, metric in value)
     assert {r["fold"] for r in table(seconds_csv([found]))} == {"0", "1", "2"}
-
-
-def test_curves_end_with_all_rows(trained):
-    found = trained["paper"][1]
     rows = [r for r in table(curves_csv([found])) if (r["family"], r["grouped"]) == ("tree", "true")]
     curve = [r for r in rows if r["curve"] == "precision_recall"]
     assert (float(curve[-1]["x"]), int(curve[-1]["count"])) == (1, len(found.data.labels))
     assert float(curve[-1]["y"]) == pytest.approx(found.data.labels.mean(), abs=1e-5)
     assert float(curve[0]["y"]) > float(curve[-1]["y"])
-    counts = [int(r["count"]) for r in rows if r["curve"] == "reliability_calibrated"]
-    assert sum(counts) == len(found.data.labels)
-
-
-def test_importances_are_those_of_the_exported_family(trained):
+    assert sum(int(r["count"]) for r in rows if r["curve"] == "reliability_calibrated") == len(found.data.labels)
     rows = table(importances_csv(trained["default"]))
     assert [r["column"] for r in rows if r["target"] == "match"] == list(find_preset("default").match_columns)
     assert {r["family"] for r in rows} == {"lightgbm"}
 
 
-def test_what_training_writes(trained, tmp_path):
-    again = train_in(tmp_path / "again", {})
-    for place, found in (("a", trained), ("b", again)):
-        write_training(tmp_path / place, found["paper"])
-    names = sorted(path.name for path in (tmp_path / "a").iterdir())
-    tables = ["curves.csv", "importances.csv", "match.onnx", "metrics.csv", "parity.npz", "summary.json"]
-    assert names == [*tables, "two_keypoint.onnx"]
-    assert all((tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes() for name in names)
+def test_what_training_writes_and_a_folder_without_rows_is_named(trained, tmp_path):
+    trained, _ = trained
+    write_training(tmp_path / "a", trained["paper"])
+    tables = {"curves.csv", "importances.csv", "match.onnx", "metrics.csv", "parity.npz", "summary.json"}
+    assert {path.name for path in (tmp_path / "a").iterdir()} == {*tables, "two_keypoint.onnx"}
     summary = json.loads((tmp_path / "a" / "summary.json").read_text())
     assert summary["match"]["family"] == "tree"
     assert summary["match"]["columns"] == list(find_preset("paper").match_columns)
     assert summary["training_data"]["scenes"] == 12
     assert summary["training_data"]["match_rows"] == len(trained["paper"][1].data.rows)
     assert set(summary["match"]["metrics"]["log_loss"]) == {"mean", "deviation", "calibrated", "ungrouped"}
-
-
-def test_a_folder_without_rows_is_named(tmp_path):
     with pytest.raises(SettingsError, match="run the stage features first"):
         train({"paper": tmp_path}, PARAMS, workers=1, store=tmp_path)

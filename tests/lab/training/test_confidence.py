@@ -49,6 +49,5 @@ def test_few_unrelated_pairs_reach_the_default():
     values = np.concatenate([np.linspace(0, 0.99, 100), np.full(100, 0.99)])
     cross = {"lightgbm": SimpleNamespace(calibrated=values)}
     comparison = SimpleNamespace(grouped=cross, exported="lightgbm", data=data)
-    least = least_confidence(comparison, known, accepted=0.05, floor=0.2)
-    assert np.mean(values[:100] > least) == 0.05
+    assert np.mean(values[:100] > least_confidence(comparison, known, accepted=0.05, floor=0.2)) == 0.05
     assert least_confidence(comparison, known, accepted=0.99, floor=0.2) == 0.2

@@ -32,18 +32,11 @@ def test_every_family_ranks_right_rows_first(family):
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_bytes_depend_on_rows_and_seed_alone(family):
-    first, again, other = (to_onnx(fit(family, ROWS.rows, ROWS.labels, seed=k, max_rows=1000)) for k in (1, 1, 2))
+    first, again, other = (to_onnx(fit(family, ROWS.rows, ROWS.labels, seed=k, max_rows=400)) for k in (1, 1, 2))
     assert first == again != other
 
 
-def test_lightgbm_is_the_same_with_more_threads(monkeypatch):
-    one = fit("lightgbm", ROWS.rows, ROWS.labels, seed=3)
-    monkeypatch.setitem(families._LIGHTGBM, "num_threads", 2)
-    two = fit("lightgbm", ROWS.rows, ROWS.labels, seed=3)
-    np.testing.assert_array_equal(one.probability(ROWS.rows), two.probability(ROWS.rows))
-
-
-def test_leaves_of_the_tree_are_smoothed_after_laplace():
+def test_the_tree_is_pruned_and_its_leaves_smoothed_after_laplace():
     tree = fit_tree(ROWS.rows, ROWS.labels, seed=0).estimator
     leaf = tree.apply(ROWS.rows)
     probability = tree.predict_proba(ROWS.rows)
@@ -51,14 +44,11 @@ def test_leaves_of_the_tree_are_smoothed_after_laplace():
         here = ROWS.labels[leaf == node]
         np.testing.assert_allclose(probability[leaf == node, 1], (here.sum() + 1) / (len(here) + 2))
     np.testing.assert_allclose(probability.sum(axis=1), 1)
-
-
-def test_the_tree_is_pruned():
     grown = DecisionTreeClassifier(criterion="entropy", random_state=0).fit(ROWS.rows, ROWS.labels)
     assert fit_tree(ROWS.rows, ROWS.labels, seed=0).estimator.get_n_leaves() < grown.get_n_leaves() / 2
 
 
-def test_thresholds_of_lightgbm_are_float32_and_change_nothing(monkeypatch):
+def test_thresholds_of_lightgbm_are_rounded_down_to_float32_and_change_nothing(monkeypatch):
     rounded = fit("lightgbm", ROWS.rows, ROWS.labels, seed=3)
     monkeypatch.setattr(families, "_float32_thresholds", lambda booster: booster)
     original = fit("lightgbm", ROWS.rows, ROWS.labels, seed=3)
@@ -69,13 +59,6 @@ def test_thresholds_of_lightgbm_are_float32_and_change_nothing(monkeypatch):
     on_thresholds[:, 1] = np.resize(np.float32(thresholds), 5000)
     for rows in (ROWS.rows, on_thresholds):
         np.testing.assert_array_equal(rounded.probability(rows), original.probability(rows))
-
-
-def thresholds_of(booster: lightgbm.Booster) -> list[float]:
-    return booster.trees_to_dataframe()["threshold"].dropna().tolist()
-
-
-def test_round_down_is_the_largest_float32_not_above():
     values = np.array([0.1, -0.1, 1.0, 1 + 1e-12, -1 - 1e-12, 0.0, 1e-50, -1e-50, 1.0000000180025095e-35])
     rounded = round_down(values)
     assert rounded.dtype == np.float32
@@ -83,7 +66,11 @@ def test_round_down_is_the_largest_float32_not_above():
     assert (np.nextafter(rounded, np.float32(np.inf)).astype(float) > values).all()
 
 
-def test_the_decision_of_the_svm_is_libsvms():
+def thresholds_of(booster: lightgbm.Booster) -> list[float]:
+    return booster.trees_to_dataframe()["threshold"].dropna().tolist()
+
+
+def test_the_decision_of_the_svm_is_libsvms_and_copes_with_a_constant_column():
     fitted = fit_svm(ROWS.rows[:800], ROWS.labels[:800], seed=2)
     svm = SVC(C=1.0, gamma=fitted.gamma)
     held = np.zeros(800, bool)
@@ -91,9 +78,6 @@ def test_the_decision_of_the_svm_is_libsvms():
     standardised = (ROWS.rows.astype(float) - fitted.mean) / fitted.scale
     svm.fit(standardised[:800][~held], ROWS.labels[:800][~held])
     np.testing.assert_allclose(fitted.decision(ROWS.rows), svm.decision_function(standardised), rtol=1e-9, atol=1e-9)
-
-
-def test_the_svm_copes_with_a_constant_column():
     X = ROWS.rows.copy()
     X[:, 4] = 7
     with warnings.catch_warnings():
@@ -110,7 +94,7 @@ def test_importances_name_what_matters():
     assert fit("svm", ROWS.rows, ROWS.labels, seed=0, max_rows=400).importances() is None
 
 
-def test_samples_keep_the_base_rate_and_both_classes():
+def test_samples_keep_the_base_rate_both_classes_and_their_cap(monkeypatch):
     labels = np.arange(10_000) < 500
     kept = sample_by_class(labels, 1000, seed=0)
     assert len(kept) == len(set(kept.tolist())) == 1000
@@ -118,9 +102,6 @@ def test_samples_keep_the_base_rate_and_both_classes():
     assert (np.diff(kept) > 0).all()
     rare = np.arange(10_000) < 2
     assert rare[sample_by_class(rare, 100, seed=0)].sum() == 1
-
-
-def test_the_cap_holds(monkeypatch):
     seen = []
     monkeypatch.setitem(FAMILIES, "tree", lambda rows, labels, seed: seen.append(len(rows)))
     fit("tree", ROWS.rows, ROWS.labels, seed=0, max_rows=300)

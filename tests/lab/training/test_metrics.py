@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from sklearn.metrics import average_precision_score
 
 from epiprior_lab.training.metrics import mean_over_pairs, pair_metrics, precision_of_top, row_metrics
 
@@ -12,16 +11,13 @@ def ranked(probability, labels, *slices, share=None):
     return mean_over_pairs(pair_metrics(probability, labels, slices, share))
 
 
-def test_precision_of_the_top_by_hand():
+def test_precision_of_the_top_by_hand_and_of_ties_in_part():
     labels = np.array([True, False, True, True, False])
     probability = np.array([0.9, 0.8, 0.7, 0.6, 0.5])
     assert precision_of_top(probability, labels, 2) == 0.5
     assert precision_of_top(probability, labels, 3) == pytest.approx(2 / 3)
     assert precision_of_top(probability, labels, 100) == pytest.approx(3 / 5)
     assert np.isnan(precision_of_top(np.empty(0), np.empty(0, bool), 100))
-
-
-def test_ties_count_in_part_whatever_their_order():
     labels = np.array([True, True, True, False])
     probability = np.array([0.9, 0.5, 0.5, 0.5])
     expected = (1 + 2 / 3) / 2
@@ -38,16 +34,6 @@ def test_every_pair_counts_the_same():
     assert all(np.isnan(value) for value in ranked(np.empty(0), np.empty(0, bool), slice(0, 0)).values())
 
 
-def test_average_precision_takes_tied_rows_together():
-    rng = np.random.default_rng(0)
-    labels = rng.random(500) < 0.2
-    probability = np.round(rng.random(500) * 0.5 + 0.3 * labels, 2)
-    expected = average_precision_score(labels, probability)
-    for order in (np.arange(500), rng.permutation(500)):
-        found = ranked(probability[order], labels[order], slice(0, 500))
-        assert found["average_precision"] == pytest.approx(expected, rel=1e-12)
-
-
 def test_a_sample_estimates_the_top_of_all_rows():
     rng = np.random.default_rng(1)
     size, every = 20_000, slice(0, 4000)
@@ -62,15 +48,12 @@ def test_a_sample_estimates_the_top_of_all_rows():
     assert ranked(probability[kept], labels[kept], every)["precision_top_100"] < whole - 0.05
 
 
-def test_row_metrics_by_hand():
+def test_row_metrics_by_hand_and_where_they_are_not_defined():
     found = row_metrics(np.array([0.8, 0.6, 0.4, 0.0]), np.array([True, False, True, False]))
     assert found["accuracy"] == found["precision"] == 0.5
     assert found["brier_score"] == pytest.approx((0.04 + 0.36 + 0.36 + 0) / 4)
     assert found["log_loss"] == pytest.approx(-np.log([0.8, 0.4, 0.4, 1 - 1e-7]).mean())
     assert found["expected_calibration_error"] == pytest.approx((0.2 + 0.6 + 0.6 + 0) / 4)
-
-
-def test_row_metrics_where_they_are_not_defined():
     one_class = row_metrics(np.full(3, 0.1), np.zeros(3, bool))
     assert np.isnan(one_class["precision"])
     assert one_class["brier_score"] == pytest.approx(0.01)

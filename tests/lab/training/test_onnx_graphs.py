@@ -40,7 +40,7 @@ def rows_on_thresholds(fitted):
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_graph_predicts_what_was_fitted(family):
-    fitted = fit(family, ROWS.rows, ROWS.labels, seed=1, max_rows=1500 if family == "svm" else None)
+    fitted = fit(family, ROWS.rows, ROWS.labels, seed=1, max_rows={"svm": 1500, "random-forest": 600}.get(family))
     others = np.random.default_rng(3).normal(scale=10, size=(500, 5)).astype(np.float32)
     for rows in (ROWS.rows, others, rows_on_thresholds(fitted) if family != "svm" else others):
         assert np.abs(exported(fitted, rows) - fitted.probability(rows)).max() < 1e-6

@@ -1,0 +1,41 @@
+"""Features in the files of hloc and COLMAP, for tests that read them."""
+
+import numpy as np
+
+
+def signed(features):
+    """Return the orientations in (-180, 180]."""
+    return np.where(features.orientation_deg > 180, features.orientation_deg - 360, features.orientation_deg)
+
+
+def hloc_parts(features, dtype=np.float32):
+    """Return what hloc keeps of the features of an image."""
+    return {
+        "keypoints": features.xy.astype(dtype),
+        "scales": features.scale.astype(dtype),
+        "oris": signed(features),
+        "descriptors": features.descriptors.T.astype(dtype),
+        "image_size": np.array(features.image_size),
+        "scores": np.zeros(len(features), dtype),
+    }
+
+
+def write_h5(path, images):
+    """Write parts by the names of images."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, parts in images.items():
+            for key, value in parts.items():
+                file.create_dataset(f"{name}/{key}", data=value)
+    return path
+
+
+def extract_colmap(path, folder):
+    """Let COLMAP fill a database with its features of the images in a folder."""
+    import pycolmap
+
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu, options.num_threads = False, 1
+    pycolmap.extract_features(path, folder, extraction_options=options)
+    return path
