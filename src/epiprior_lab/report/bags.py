@@ -11,8 +11,8 @@ from epiprior_lab.bags.choose import PLAIN, STRANGER, TWINS
 from epiprior_lab.bags.measure import INTRINSICS, SECONDS
 from epiprior_lab.bags.params import BagReportParams
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.evaluation.compare import compare
 from epiprior_lab.evaluation.learned import LEARNED
+from epiprior_lab.evaluation.statistics import paired_bootstrap
 from epiprior_lab.report.page import Page, Section, Table, picture, say
 from epiprior_lab.report.results import interval_columns
 from epiprior_lab.report.style import DOTS, label_grid, legend, styled
@@ -99,7 +99,7 @@ def summary_table(records: _Frame, params: BagReportParams) -> _Frame:
                 for key in _MEASURES:
                     a, b = (one.loc[bags, key].to_numpy(np.float64) for one in (base, own))
                     seed = child_seed(params.seed, name, kind)
-                    found = compare(a, b, scenes=scenes, draws=params.bootstrap_draws, seed=seed)
+                    found = paired_bootstrap(a, b, groups=scenes, draws=params.bootstrap_draws, seed=seed)
                     row |= interval_columns(key, found.with_step)
                     row |= interval_columns(f"{key}_gain", found.contribution)
                 if row["scenes"] < 2:
