@@ -40,41 +40,16 @@ TWO_KEYPOINT_COLUMNS = (
 )
 PAPER_MATCH_COLUMNS = ("supporting_matrices", "distance_ratio", "similarity_weight")
 MATCH_COLUMNS = (
-    *PAPER_MATCH_COLUMNS,
-    "mutual",
-    "distance_ratio_backward",
-    "similarity",
-    "fixed_similarity",
-    "best_two_keypoint",
-    "summed_two_keypoint",
-    "relative_support",
-    "weighted_support",
-    "rival_support",
-    "rivals",
-    "roll_error",
-    "scale_change",
-    *COHERENCE_COLUMNS,
-    "pair_best_two_keypoints",
-    "pair_two_keypoints",
-    "pair_support",
-)
+    *PAPER_MATCH_COLUMNS, "mutual", "distance_ratio_backward", "similarity", "fixed_similarity", "best_two_keypoint",
+    "summed_two_keypoint", "relative_support", "weighted_support", "rival_support", "rivals", "roll_error",
+    "scale_change", *COHERENCE_COLUMNS, "pair_best_two_keypoints", "pair_two_keypoints", "pair_support",
+)  # fmt: skip
 SECOND_ROUND_COLUMNS = (
-    *MATCH_COLUMNS,
-    "probability",
-    "rank",
-    "best_rival1",
-    "best_rival2",
-    *(f"probable_{name}{side}" for side in "12" for name in COHERENCE_COLUMNS),
-    "distance_best",
-    "distance_second",
-    "distance_third",
-    "refined_votes",
-    "evidence_without",
-    "pair_probability",
-    "pair_top_probability",
-    "pair_evidence",
-    "pair_second_evidence",
-)
+    *MATCH_COLUMNS, "probability", "rank", "best_rival1", "best_rival2",
+    *(f"probable_{name}{side}" for side in "12" for name in COHERENCE_COLUMNS), "distance_best", "distance_second",
+    "distance_third", "refined_votes", "evidence_without", "pair_probability", "pair_top_probability",
+    "pair_evidence", "pair_second_evidence",
+)  # fmt: skip
 
 
 def _check_ranges(settings: object, **ranges: tuple[float, float]) -> None:

@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 from epiprior.collection.images import ImageSet, known_images
 from epiprior.collection.run import MatchedCollection
-from epiprior.errors import FeatureError, ImageError, OutputError, SettingsError
-from epiprior.io.colmap import add_camera, add_image, add_pair, check_colmap_output
+from epiprior.errors import FeatureError, ImageError, SettingsError
+from epiprior.io.colmap import add_camera, add_image, add_pair, check_colmap_output, writable
 from epiprior.io.features import read_colmap_features
 from epiprior.io.output import replacing
 from epiprior.types import Features
@@ -78,7 +78,7 @@ def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tup
     """
     pycolmap = check_colmap_output(path)
     with replacing(path) as scratch:
-        with _opened(path, pycolmap.Database.open(scratch)) as database:
+        with writable(path, scratch) as database:
             numbers: dict[str, int] = {}
             ids: dict[str, int] = {}
             with pycolmap.DatabaseTransaction(database):
@@ -86,7 +86,7 @@ def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tup
                     if first not in numbers:
                         numbers[first] = add_camera(database, camera)
                     ids[image.name] = add_image(database, image.name, numbers[first], matched.features(place).xy)
-            count = _add_pairs(pycolmap, database, matched, ids, least)
+            count = _add_pairs(database, matched, ids, least)
         check_colmap_output(path)
     return count
 
@@ -96,14 +96,14 @@ def extend_database(path: Path, matched: MatchedCollection, least: float) -> int
 
     After a kill the database is as it was; after an error it holds the pairs before it, and may be extended again.
     """
+    with writable(path, path) as database:
+        ids = {image.name: image.image_id for image in database.read_all_images()}
+        return _add_pairs(database, matched, ids, least)
+
+
+def _add_pairs(database: Any, matched: MatchedCollection, ids: dict[str, int], least: float) -> int:
     import pycolmap
 
-    with _opened(path, pycolmap.Database.open(path)) as database:
-        ids = {image.name: image.image_id for image in database.read_all_images()}
-        return _add_pairs(pycolmap, database, matched, ids, least)
-
-
-def _add_pairs(pycolmap: Any, database: Any, matched: MatchedCollection, ids: dict[str, int], least: float) -> int:
     count = 0
     with pycolmap.DatabaseTransaction(database):
         for pair in matched:
@@ -114,16 +114,6 @@ def _add_pairs(pycolmap: Any, database: Any, matched: MatchedCollection, ids: di
             add_pair(database, both, pair.matches, inliers=len(pair.matches), **how)
             count += 1
     return count
-
-
-@contextlib.contextmanager
-def _opened(path: Path, database: Any) -> Any:
-    try:
-        yield database
-    except RuntimeError as error:
-        raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
-    finally:
-        database.close()
 
 
 @dataclass(frozen=True, kw_only=True)

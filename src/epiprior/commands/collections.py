@@ -151,8 +151,7 @@ def colmap(
         cameras = colmap_database.infer_cameras(found, how)
         matched = _match(found, **asked)
         count = colmap_database.write_database(database, matched, cameras, min_confidence)
-    say(f"{database}: {count} of {len(matched)} pairs have a geometry; {matched.work} can be deleted")
-    _exit_without(count, matched)
+    _tell(database, count, matched)
     say(f"map it: colmap mapper --database_path {database} --image_path {matched.images.root} --output_path sparse")
 
 
@@ -194,9 +193,7 @@ def hloc(
         threshold_px=threshold, settings=settings, work=work or Path(f"{matches}.work"),
         given=lambda name: read_hloc_features(features, name, roots=roots),
     )  # fmt: skip
-    count = write_hloc_matches(matches, matched, min_confidence)
-    say(f"{matches}: {count} of {len(matched)} pairs have a geometry; {matched.work} can be deleted")
-    _exit_without(count, matched)
+    _tell(matches, write_hloc_matches(matches, matched, min_confidence), matched)
 
 
 def _match(images: Any, **asked: Any) -> "MatchedCollection":
@@ -206,8 +203,9 @@ def _match(images: Any, **asked: Any) -> "MatchedCollection":
         return match_collection(images, on_progress=on_progress, **asked)
 
 
-def _exit_without(count: int, matched: "MatchedCollection") -> None:
-    """Leave with exit code 1 where pairs were matched and none has a geometry; the first says why."""
+def _tell(written: Path, count: int, matched: "MatchedCollection") -> None:
+    """Say what was written; leave with exit code 1, and the first reason, where no pair has a geometry."""
+    say(f"{written}: {count} of {len(matched)} pairs have a geometry; {matched.work} can be deleted")
     if len(matched) and not count:
         pair = next(iter(matched))
         complain(f"no geometry: {pair.image1}, {pair.image2}: {pair.status}: {pair.message}")

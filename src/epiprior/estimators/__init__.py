@@ -7,12 +7,5 @@ from epiprior.estimators.protocol import Estimator, EstimatorSettings, RawModel
 from epiprior.estimators.registry import find_estimator, fit, licences, list_estimators, names
 
 __all__ = [
-    "Estimator",
-    "EstimatorSettings",
-    "RawModel",
-    "find_estimator",
-    "fit",
-    "licences",
-    "list_estimators",
-    "names",
-]
+    "Estimator", "EstimatorSettings", "RawModel", "find_estimator", "fit", "licences", "list_estimators", "names",
+]  # fmt: skip

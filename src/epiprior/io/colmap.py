@@ -73,23 +73,31 @@ def write_colmap_database(
     images = sorted({image for pair in pairs for image in (pair.image1, pair.image2)})
     names = check_colmap_images(images, image_root)
     keypoints, indices = _keypoints(images, pairs)
-    with replacing(path) as partial:
-        database = pycolmap.Database.open(partial)
-        try:
-            cameras = {image: add_camera(database, pycolmap.infer_camera_from_image(image)) for image in images}
-            ids = {image: add_image(database, names[image], cameras[image], keypoints[image]) for image in images}
-            for pair, both in zip(pairs, indices, strict=True):
-                found, own = pair.estimate, (ids[pair.image1], ids[pair.image2])
-                order = np.argsort(~found.inliers, kind="stable")
-                order = order[one_to_one_mask(*(index[order] for index in both))]
-                if len(order):
-                    how: Any = {"configuration": configuration_of(found), "F": found.F, "H": found.H}
-                    matches, inliers = np.column_stack(both)[order], int(found.inliers[order].sum())
-                    add_pair(database, own, matches, inliers=inliers, **how)
-        except RuntimeError as error:
-            raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
-        finally:
-            database.close()
+    with replacing(path) as partial, writable(path, partial) as database:
+        cameras = {image: add_camera(database, pycolmap.infer_camera_from_image(image)) for image in images}
+        ids = {image: add_image(database, names[image], cameras[image], keypoints[image]) for image in images}
+        for pair, both in zip(pairs, indices, strict=True):
+            found, own = pair.estimate, (ids[pair.image1], ids[pair.image2])
+            order = np.argsort(~found.inliers, kind="stable")
+            order = order[one_to_one_mask(*(index[order] for index in both))]
+            if len(order):
+                how: Any = {"configuration": configuration_of(found), "F": found.F, "H": found.H}
+                matches, inliers = np.column_stack(both)[order], int(found.inliers[order].sum())
+                add_pair(database, own, matches, inliers=inliers, **how)
+
+
+@contextlib.contextmanager
+def writable(path: Path, target: Path) -> Iterator[Any]:
+    """Open the database `target`, and close it; OutputError, about `path`, if pycolmap cannot write it."""
+    import pycolmap
+
+    database = pycolmap.Database.open(target)
+    try:
+        yield database
+    except RuntimeError as error:
+        raise OutputError(f"{path}: pycolmap cannot write it: {error}") from error
+    finally:
+        database.close()
 
 
 def check_colmap_output(path: Path) -> ModuleType:

@@ -25,28 +25,8 @@ from epiprior_lab.pairsets.reader import PairSet, check_pair_set, read_pair_set
 from epiprior_lab.pairsets.writer import PairFiles, write_pair_set
 
 __all__ = [
-    "Camera",
-    "DatasetError",
-    "KnownSet",
-    "Pair",
-    "PairFiles",
-    "PairSet",
-    "ViewDifference",
-    "check_pair_set",
-    "covisible",
-    "depth_at",
-    "encode_depth",
-    "fundamental_from_cameras",
-    "image_size",
-    "known_sets",
-    "npz_bytes",
-    "read_depth",
-    "read_pair_set",
-    "reproject",
-    "transfer",
-    "transfer_distance",
-    "view_difference",
-    "write_control_points",
-    "write_pair_set",
-    "write_table",
-]
+    "Camera", "DatasetError", "KnownSet", "Pair", "PairFiles", "PairSet", "ViewDifference", "check_pair_set",
+    "covisible", "depth_at", "encode_depth", "fundamental_from_cameras", "image_size", "known_sets", "npz_bytes",
+    "read_depth", "read_pair_set", "reproject", "transfer", "transfer_distance", "view_difference",
+    "write_control_points", "write_pair_set", "write_table",
+]  # fmt: skip

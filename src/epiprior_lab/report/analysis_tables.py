@@ -50,8 +50,7 @@ def success_table(
     """Return successes of every variant in every group; `main` is the estimator of all variants.
 
     Columns: ``threshold_px, group, experiment, variant, ranking, estimator, pairs``; ``successes``, the mean over seeds
-    of the number of pairs; ``difference`` from `reference_of`, in pairs, empty for a reference; both with the ends of
-    their 95 % interval, ``_low`` and ``_high``.
+    of the number of pairs; ``difference`` from `reference_of`, in pairs, empty for a reference; both with intervals.
     """
     rows = []
     for threshold in thresholds_px:
@@ -106,9 +105,8 @@ def lost_table(analysis: Analysis, thresholds_px: Sequence[float]) -> pd.DataFra
 
     One row per threshold, completely analysed group and estimator on the preset `default`, in pairs (means over
     seeds): ``chosen``, successes; where a refined rough F would have been one, ``missed``, the chosen F has no more
-    support, weighted by the probabilities, than the best supported F of the oracles that is a success at this
-    threshold, or ``outscored``, it has more; ``hypothesis``, no rough F would have been a success, but a fit to the
-    right matches; ``matches``, not even that.
+    support, weighted by the probabilities, than the best supported F of the oracles that is a success there, or
+    ``outscored``, it has more; ``hypothesis``, no rough F, but a fit to the right matches; ``matches``, not even that.
     """
     oracle = analysis.variants[analysis.variants["experiment"] == "oracle"]
     rows = []

@@ -56,8 +56,7 @@ def judge(bounds: Sequence[Bound], tables: Tables, results: Results | None = Non
     Columns: ``measure, group, threshold_px, estimator, input, against``: the bound, with whom the numbers are about;
     ``wanted, found, low, high`` (95 % interval over scenes); ``possible``, what would be found if every pair
     succeeded; ``kept`` of how many estimators ``of`` keep to the bound; ``met``: by the value, of a difference by an
-    interval that excludes the bound for everyone. Without any such pair nothing is found, and not met; an estimator
-    without results is a ReportError.
+    interval that excludes the bound for everyone, never without such pairs. ReportError where an estimator has none.
     """
     rows = []
     for bound in (bound for bound in bounds if (bound.measure in _OF_TIME) == ("overhead" in tables)):

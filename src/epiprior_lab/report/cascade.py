@@ -27,8 +27,7 @@ def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[f
 
     One row per main group, estimator and threshold: ``pairs``; ``preprocessed``, the share of runs that were; and in
     pairs, mean over seeds: successes ``without``, ``always`` and ``cascade``; ``lost`` and ``won``, the successes that
-    only always preprocessing has, and only the cascade; ``change`` = cascade - always with the ends of its 95 %
-    interval, ``_low`` and ``_high``.
+    only always preprocessing has, and only the cascade; ``change``, cascade - always, with its 95 % interval.
     """
     runs = cascade_rule.paired_runs(results.tables.runs)
     (kept,) = kept_runs(runs, [rule])

@@ -28,8 +28,7 @@ class Extras:
 
     `known_sets` are listed even where they are not present. `classifiers` are from `read_classifiers`, `hand_over` is
     the search on validation scenes, `kinds` are the records of pairs of other kinds. `pictures`, by the names of the
-    prose, and those of the `cases` are in the report's folder already; `gallery` is the folder of the cases on
-    photographs: its page is written too.
+    prose, and those of the `cases` are in the report's folder already; `gallery` is that of the cases on photographs.
     """
 
     rule: CascadeRule | None = None

@@ -234,15 +234,8 @@ def _bumpy_ball(rng: np.random.Generator, radius: float, *, stretch: float) -> F
 
 
 FURNITURE: tuple[Placer, ...] = (
-    add_tree,
-    add_lamp,
-    add_car,
-    add_crates,
-    add_poster_board,
-    add_hedge,
-    add_fence,
-    add_rock,
-)
+    add_tree, add_lamp, add_car, add_crates, add_poster_board, add_hedge, add_fence, add_rock,
+)  # fmt: skip
 """What stands in the street or garden in both views."""
 PASSING: tuple[Placer, ...] = (add_person, add_person, add_car, add_tree, add_poster_board)
 """What may stand in one view only."""

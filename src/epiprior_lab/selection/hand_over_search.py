@@ -184,8 +184,8 @@ def _search(
 ) -> tuple[dict[Place, Trial], list[Trial]]:
     """Vary one setting after the other.
 
-    `run` gets the candidates, the best trials so far, to which some candidates come down on some pairs, and the step;
-    it returns errors of shape (candidates, pairs, seeds) per estimator.
+    `run` gets the candidates, the best trials so far, to which some come down on some pairs, and the step; it returns
+    errors of shape (candidates, pairs, seeds) per estimator.
     """
     varied = {(e, name): coordinates(e, name, params) for e, names in inputs.items() for name in names}
     best: dict[Place, Trial] = {}

@@ -21,9 +21,8 @@ _CURVE_POINTS = 200
 def write_training(folder: Path, comparisons: Sequence[Comparison]) -> None:
     """Write the results of training of one preset, ``two_keypoint`` and ``match``; the same give the same bytes.
 
-    The folder, made if absent, gets ``metrics.csv``, ``curves.csv``, ``importances.csv``, both exported classifiers as
-    ``<target>.onnx``, ``parity.npz`` with rows and the classifiers' own probabilities of them, and ``summary.json``
-    with all that a manifest says of them.
+    The folder, made if absent, gets ``metrics.csv``, ``curves.csv``, ``importances.csv``, the exported classifiers,
+    ``<target>.onnx``, ``parity.npz`` with rows and their own probabilities, and ``summary.json`` for a manifest.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in (("metrics", metrics_csv), ("curves", curves_csv), ("importances", importances_csv)):

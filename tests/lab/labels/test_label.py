@@ -54,7 +54,7 @@ def server(session):
         thread = threading.Thread(target=running.serve, daemon=True)
         thread.start()
         yield running
-        running.stop()
+        running.shutdown()
         thread.join(5)
         assert not thread.is_alive()
 
@@ -183,7 +183,7 @@ def test_malformed_json_is_refused(server, body, status, message):
 
 def status_of(server, method, route, **headers):
     """Return the status of the answer to a request of which only the head is sent."""
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
     connection.putrequest(method, urlsplit(server.url).path + route, skip_host="Host" in headers)
     for name, value in headers.items():
         connection.putheader(name.replace("_", "-"), value)
@@ -204,7 +204,7 @@ def test_a_write_needs_json_a_length_and_no_foreign_origin(server):
     assert (
         status_of(server, "OPTIONS", "save", Origin="http://127.0.0.1:1") == 501
     )  # a browser sends nothing after that
-    assert post(server, "save", SAVE, Origin=f"http://127.0.0.1:{server.port}")["revision"]
+    assert post(server, "save", SAVE, Origin=f"http://127.0.0.1:{server.server_port}")["revision"]
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_a_write_needs_json_a_length_and_no_foreign_origin(server):
 def test_without_the_token_nothing_is_told_or_taken(server, path):
     token = urlsplit(server.url).path.strip("/")
     path = path.format(short=token[:-1], long=token + "x", bare=token)
-    url = f"http://127.0.0.1:{server.port}{path}"
+    url = f"http://127.0.0.1:{server.server_port}{path}"
     assert "wrong token" in refused(server, 403, get, url=url)
     with pytest.raises(HTTPError) as caught:
         urlopen(Request(url, data=b"{}", headers=JSON), timeout=10)
@@ -223,10 +223,10 @@ def test_without_the_token_nothing_is_told_or_taken(server, path):
 
 def test_a_foreign_name_for_this_address_is_refused(server):
     """As after DNS rebinding: the page's own name made to point to loopback."""
-    for host in ("evil.example", f"evil.example:{server.port}", "127.0.0.1:1", ""):
+    for host in ("evil.example", f"evil.example:{server.server_port}", "127.0.0.1:1", ""):
         assert status_of(server, "GET", "state", Host=host) == 403
-    assert status_of(server, "GET", "state", Host=f"localhost:{server.port}") == 200
-    assert server._http.server_address[0] == "127.0.0.1"
+    assert status_of(server, "GET", "state", Host=f"localhost:{server.server_port}") == 200
+    assert server.server_address[0] == "127.0.0.1"
 
 
 @pytest.mark.parametrize("route", ["nothing", "image/3", "image/", "../label.py", "page/index.html", "%2e%2e/fit.py"])
@@ -332,8 +332,8 @@ def test_what_is_wrong_is_named(images, tmp_path):
 
 
 def test_a_taken_or_impossible_port_is_an_error(server, session):
-    with pytest.raises(SettingsError, match=f"port = {server.port}: cannot be used"):
-        LabelServer(session, server.port)
+    with pytest.raises(SettingsError, match=f"port = {server.server_port}: cannot be used"):
+        LabelServer(session, server.server_port)
     with pytest.raises(SettingsError, match="port = 70000, expected 0 to 65535"):
         LabelServer(session, 70000)
 

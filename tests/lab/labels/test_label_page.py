@@ -73,7 +73,7 @@ def serve(images, tmp_path):
     yield start
     for server in running:
         if server.thread.is_alive():
-            server.stop()
+            server.shutdown()
         server.thread.join(5)
         server.__exit__()
 
@@ -335,7 +335,7 @@ def test_a_server_that_is_gone_is_said(browser, hand, serve):
     server = serve()
     browser.open(server.url, READY)
     hand.pair(next(iter(DOTS)))
-    server.stop()
+    server.shutdown()
     server.thread.join(5)
     server.__exit__()
     browser.press("#save")

@@ -7,12 +7,10 @@ foreign name can be made to point here; and a write has to be JSON, from this or
 
 from __future__ import annotations
 
-import functools
 import hmac
 import json
 import secrets
 import sys
-from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
@@ -56,83 +54,31 @@ def _json(value: Any, status: HTTPStatus = HTTPStatus.OK) -> _Answer:
     return _Answer(status, "application/json", json.dumps(value, allow_nan=False).encode())
 
 
-class LabelServer:
+class LabelServer(ThreadingHTTPServer):
     """Serves one session's page on 127.0.0.1; a context manager that closes its port.
 
     Port 0 takes a free one; SettingsError if a port is out of range or taken.
     """
 
+    daemon_threads = True  # a browser opens connections ahead of need: the end does not wait for these
+
     def __init__(self, session: LabelSession, port: int = 0) -> None:
-        self.session = session
-        self._secret = secrets.token_urlsafe(24)
+        self.session, self.secret = session, secrets.token_urlsafe(24)
         if not 0 <= port <= 65535:
             raise SettingsError(f"port = {port}, expected 0 to 65535")
         try:
-            self._http = _HTTPServer((_ADDRESS, port), functools.partial(_Handler, answer=self._answer))
+            super().__init__((_ADDRESS, port), _Handler)
         except OSError as error:
             raise SettingsError(f"port = {port}: cannot be used: {error.strerror}") from error
-
-    def __enter__(self) -> LabelServer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._http.server_close()
-
-    @property
-    def port(self) -> int:
-        """The port that is listened on."""
-        return int(self._http.server_address[1])
 
     @property
     def url(self) -> str:
         """The address of the page, secret included."""
-        return f"http://{_ADDRESS}:{self.port}/{self._secret}/"
+        return f"http://{_ADDRESS}:{self.server_port}/{self.secret}/"
 
     def serve(self) -> None:
-        """Answer requests until the page says that it is done, or `stop` is called."""
-        self._http.serve_forever(poll_interval=0.05)
-
-    def stop(self) -> None:
-        """End `serve`; from another thread than the one that serves."""
-        self._http.shutdown()
-
-    def _answer(self, request: _Handler) -> _Answer:
-        if request.headers.get("Host") not in (f"{_ADDRESS}:{self.port}", f"localhost:{self.port}"):
-            raise _RequestError(HTTPStatus.FORBIDDEN, "this server answers to its own name only")
-        prefix = f"/{self._secret}/"
-        if not hmac.compare_digest(request.path[: len(prefix)].encode(), prefix.encode()):
-            raise _RequestError(HTTPStatus.FORBIDDEN, "wrong token: use the address that the command printed")
-        route = request.path[len(prefix) :].partition("?")[0]
-        if request.command == "GET":
-            return self._get(route)
-        return self._post(route, request)
-
-    def _get(self, route: str) -> _Answer:
-        if route in _PAGE:
-            data = (resources.files("epiprior_lab.labels.by_hand") / "page" / (route or "index.html")).read_bytes()
-            return _Answer(HTTPStatus.OK, f"text/{_PAGE[route]}; charset=utf-8", data)
-        if route in ("image/1", "image/2"):
-            return _Answer(HTTPStatus.OK, "image/png", self.session.images[int(route[-1]) - 1].png)
-        if route == "state":
-            return _json(self.session.state())
-        raise _RequestError(HTTPStatus.NOT_FOUND, "no such page")
-
-    def _post(self, route: str, request: _Handler) -> _Answer:
-        if route not in ("fit", "save", "done"):
-            raise _RequestError(HTTPStatus.NOT_FOUND, "no such page")
-        origin = request.headers.get("Origin")
-        if origin is not None and origin != f"http://{request.headers['Host']}":
-            raise _RequestError(HTTPStatus.FORBIDDEN, "another page's request")
-        sent = request.sent_json()
-        if route == "fit":
-            return _json(self.session.fit(sent.get("points")))
-        if route == "save":
-            return _json({"revision": self.session.save(sent.get("points"), sent.get("revision"))})
-        return _json({"count": self.session.count()})._replace(last=True)
-
-
-class _HTTPServer(ThreadingHTTPServer):
-    daemon_threads = True  # a browser opens connections ahead of need: the end does not wait for these
+        """Answer requests until the page says that it is done, or `shutdown` is called from another thread."""
+        self.serve_forever(poll_interval=0.05)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore a browser that closed the connection in the middle of an answer."""
@@ -141,14 +87,42 @@ class _HTTPServer(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
+    server: LabelServer
     protocol_version = "HTTP/1.0"  # a connection per request: nothing is left open when the server ends
     timeout = 20
     server_version = "epiprior-lab"
     sys_version = ""
 
-    def __init__(self, *arguments: Any, answer: Callable[[_Handler], _Answer]) -> None:
-        self._make_answer = answer
-        super().__init__(*arguments)
+    def _answer(self) -> _Answer:
+        port, prefix = self.server.server_port, f"/{self.server.secret}/"
+        if self.headers.get("Host") not in (f"{_ADDRESS}:{port}", f"localhost:{port}"):
+            raise _RequestError(HTTPStatus.FORBIDDEN, "this server answers to its own name only")
+        if not hmac.compare_digest(self.path[: len(prefix)].encode(), prefix.encode()):
+            raise _RequestError(HTTPStatus.FORBIDDEN, "wrong token: use the address that the command printed")
+        route = self.path[len(prefix) :].partition("?")[0]
+        return self._get(route) if self.command == "GET" else self._post(route)
+
+    def _get(self, route: str) -> _Answer:
+        if route in _PAGE:
+            data = (resources.files("epiprior_lab.labels.by_hand") / "page" / (route or "index.html")).read_bytes()
+            return _Answer(HTTPStatus.OK, f"text/{_PAGE[route]}; charset=utf-8", data)
+        if route in ("image/1", "image/2"):
+            return _Answer(HTTPStatus.OK, "image/png", self.server.session.images[int(route[-1]) - 1].png)
+        if route == "state":
+            return _json(self.server.session.state())
+        raise _RequestError(HTTPStatus.NOT_FOUND, "no such page")
+
+    def _post(self, route: str) -> _Answer:
+        if route not in ("fit", "save", "done"):
+            raise _RequestError(HTTPStatus.NOT_FOUND, "no such page")
+        if self.headers.get("Origin", f"http://{self.headers['Host']}") != f"http://{self.headers['Host']}":
+            raise _RequestError(HTTPStatus.FORBIDDEN, "another page's request")
+        sent, session = self.sent_json(), self.server.session
+        if route == "fit":
+            return _json(session.fit(sent.get("points")))
+        if route == "save":
+            return _json({"revision": session.save(sent.get("points"), sent.get("revision"))})
+        return _json({"count": session.count()})._replace(last=True)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Log nothing: addresses hold the secret."""
@@ -172,7 +146,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         try:
-            answer = self._make_answer(self)
+            answer = self._answer()
         except (_RequestError, OSError, EpipriorError) as error:
             answer = _json({"error": str(error)}, _status(error))
         self.send_response(answer.status)

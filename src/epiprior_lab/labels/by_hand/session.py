@@ -63,9 +63,7 @@ class LabelImage:
 class LabelSession:
     """Two images and the control points clicked in them, in the file `out`, which is continued where it exists.
 
-    Beside ``points.csv`` is its record, ``points.pair.json``: names, sizes and hashes of the two images that the points
-    belong to, which a file of control points does not hold.
-
+    Beside ``points.csv`` is its record, ``points.pair.json``: names, sizes and hashes of the images of the points.
     ImageError if an image cannot be read or both are the same, OutputError if `out` can never be written. LabelError or
     DatasetError if `out` belongs to another pair or is damaged, unless `force` starts it anew.
     """

@@ -41,10 +41,9 @@ def matched(photographs: Sequence[Photograph]) -> Iterator[Matched]:
     """Find SIFT features in photographs and match all pairs of them, in a folder that is removed afterwards.
 
     pycolmap's list of pairs separates names by blanks, and its names are UTF-8; so it sees links that are called by
-    number, and files may be called as they like. Its log below errors is silent meanwhile.
-
-    DatasetError if two photographs have one name in a pair set, or pycolmap finds nothing in one; ImageError if one
-    cannot be decoded; all are checked first.
+    number, and files may be called as they like. Its log below errors is silent meanwhile. DatasetError if two
+    photographs have one name in a pair set, or pycolmap finds nothing in one; ImageError if one cannot be decoded; all
+    are checked first.
     """
     check_photographs(photographs)
     with tempfile.TemporaryDirectory() as scratch, quiet():
@@ -105,11 +104,9 @@ def find_photos(folder: Path, *, scene: str | None = None, choice: PairChoice | 
 
     All pairs of photographs are matched, which suits up to some hundred of them. Photographs that do not fit together
     give several models, each a scene of its own (named `scene`, the folder's name by default, and a number); those
-    that fit nowhere are left out with a warning.
-
+    that fit nowhere are left out with a warning. Ground truth by structure from motion favours pairs that SIFT links.
     DatasetError if there are fewer than three photographs, two differ in their suffix only, or no pair is as `choice`
-    asks; ImageError if one cannot be read; all are checked first. Ground truth by structure from motion favours pairs
-    that SIFT can link, directly or through others.
+    asks; ImageError if one cannot be read; all are checked first.
     """
     import pycolmap
 
