@@ -8,16 +8,10 @@ import pytest
 
 from collections_fakes import MATCHES, FakeEstimation, in_this_process, small_images
 from epiprior import FeatureError, ImageError, OutputError, SettingsError, Status, match_collection
-from epiprior.collection.database import (
-    CameraSettings,
-    extend_database,
-    infer_cameras,
-    read_filled,
-    write_database,
-)
+from epiprior.collection.database import CameraSettings, extend_database, infer_cameras, read_filled, write_database
 from epiprior.collection.images import find_images
 from epiprior.geometry import sampson_distance
-from epiprior.io.colmap import homography_for_colmap
+from feature_files import extract_colmap
 from pictures import save, texture
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -30,7 +24,7 @@ def found(tmp_path, monkeypatch):
     return match_collection(tmp_path / "set")
 
 
-def test_database_holds_what_was_matched(tmp_path, found):
+def test_database_holds_what_was_matched_and_no_pair_without_geometry(tmp_path, found, monkeypatch):
     path = tmp_path / "scene.db"
     assert write_database(path, found, infer_cameras(found.images, CameraSettings()), 0.5) == 3
     with pycolmap.Database.open(path) as database:
@@ -51,6 +45,10 @@ def test_database_holds_what_was_matched(tmp_path, found):
     with pytest.raises(OutputError, match="exists already"):
         write_database(path, found, infer_cameras(found.images, CameraSettings()), 0.5)
     assert write_database(tmp_path / "high.db", found, infer_cameras(found.images, CameraSettings()), 1.1) == 0
+    in_this_process(monkeypatch, FakeEstimation(Status.NO_MODEL))
+    found = match_collection(tmp_path / "set")
+    assert write_database(tmp_path / "none.db", found, infer_cameras(found.images, CameraSettings()), 0.0) == 0
+    assert rows(tmp_path / "none.db", "matches", "two_view_geometries") == [[], []]
 
 
 def test_a_database_that_was_made_meanwhile_stays(tmp_path, found, monkeypatch):
@@ -90,23 +88,11 @@ def test_cameras_that_cannot_be(tmp_path):
             infer_cameras(images, CameraSettings(**settings))
 
 
-def test_homographies_are_moved_to_the_pixels_of_colmap():
-    H = np.array([[1.1, 0.1, 5.0], [-0.1, 0.9, 3.0], [1e-4, 2e-4, 1.0]])
-    x = np.array([[10.0, 20.0, 1.0], [300.0, 200.0, 1.0]]).T
-    half = np.array([[0.5], [0.5], [0.0]])
-    mapped, moved = H @ x, homography_for_colmap(H) @ (x + half)
-    np.testing.assert_allclose(moved / moved[2], mapped / mapped[2] + half)
-
-
 @pytest.fixture
 def filled(tmp_path):
     """A database as COLMAP leaves it after the extraction of features."""
     small_images(tmp_path / "set", ("a.png", "sub/b.png", "sub/c.png"))
-    path = tmp_path / "colmap.db"
-    options = pycolmap.FeatureExtractionOptions()
-    options.use_gpu, options.num_threads = False, 1
-    pycolmap.extract_features(path, tmp_path / "set", extraction_options=options)
-    return path
+    return extract_colmap(tmp_path / "colmap.db", tmp_path / "set")
 
 
 def rows(path, *tables):
@@ -175,11 +161,3 @@ def test_databases_that_cannot_be_extended(tmp_path, filled):
         opened.execute("DELETE FROM descriptors")
     with pytest.raises(FeatureError, match=r"a\.png has no descriptors"):
         read_filled(filled, tmp_path / "set")
-
-
-def test_a_pair_without_geometry_is_not_written(tmp_path, monkeypatch):
-    in_this_process(monkeypatch, FakeEstimation(Status.NO_MODEL))
-    small_images(tmp_path / "set")
-    found = match_collection(tmp_path / "set")
-    assert write_database(tmp_path / "scene.db", found, infer_cameras(found.images, CameraSettings()), 0.0) == 0
-    assert rows(tmp_path / "scene.db", "matches", "two_view_geometries") == [[], []]

@@ -1,5 +1,7 @@
 """Files of hloc: its features in, its matches out, read as hloc reads them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from epiprior.collection.hloc import check_hloc_output, read_hloc_images, write_
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.io import read_hloc_features
+from feature_files import hloc_parts, write_h5
 
 h5py = pytest.importorskip("h5py")
 NAMES = ("a.png", "sub/b.png", "sub/c.png")
@@ -16,14 +19,13 @@ NAMES = ("a.png", "sub/b.png", "sub/c.png")
 
 @pytest.fixture
 def feats(tmp_path):
-    with h5py.File(tmp_path / "feats.h5", "w") as file:
-        for name, path in zip(NAMES, small_images(tmp_path / "set", NAMES), strict=True):
-            own = detect_features(load_photograph(path))
-            descriptors = np.sqrt(np.sqrt(own.descriptors / own.descriptors.sum(axis=1, keepdims=True)))
-            parts = {"keypoints": own.xy, "descriptors": descriptors.T, "image_size": np.array(own.image_size)}
-            for key, value in (parts | {"scales": own.scale, "oris": own.orientation_deg}).items():
-                file.create_dataset(f"{name}/{key}", data=value)
-    return tmp_path / "feats.h5"
+    """Features of three images, with the roots that COLMAP and hloc take."""
+    images = {}
+    for name, path in zip(NAMES, small_images(tmp_path / "set", NAMES), strict=True):
+        own = detect_features(load_photograph(path))
+        roots = np.sqrt(np.sqrt(own.descriptors / own.descriptors.sum(axis=1, keepdims=True)))
+        images[name] = hloc_parts(replace(own, descriptors=roots))
+    return write_h5(tmp_path / "feats.h5", images)
 
 
 def read_as_hloc_does(path, name0, name1):

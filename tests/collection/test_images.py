@@ -13,7 +13,7 @@ from epiprior.presets import FeatureSettings
 from pictures import save, texture, turned_jpeg
 
 
-def test_a_folder_is_searched_with_its_subfolders(tmp_path, caplog):
+def test_images_are_found_in_folders_and_named_from_the_deepest_that_holds_all(tmp_path, caplog):
     small_images(tmp_path / "set", ("b.png", "sub/a b.png", ".hidden/c.png", "._b.png", "._a.png"))
     (tmp_path / "set" / "notes.txt").write_text("no image")
     with caplog.at_level(logging.WARNING, "epiprior"):
@@ -22,16 +22,12 @@ def test_a_folder_is_searched_with_its_subfolders(tmp_path, caplog):
     assert found.root == tmp_path / "set"
     (line,) = caplog.messages
     assert "._a.png: one of 2 files named ._*" in line
-
-
-def test_files_are_named_from_the_deepest_folder_that_holds_all(tmp_path):
     files = small_images(tmp_path, ("x/y/b.png", "x/z/a.png"))
     assert [image.name for image in find_images(files).images] == ["y/b.png", "z/a.png"]
 
 
 def test_the_same_bytes_count_once(tmp_path, caplog):
-    files = small_images(tmp_path)
-    (tmp_path / "d.png").write_bytes(files[0].read_bytes())
+    (tmp_path / "d.png").write_bytes(small_images(tmp_path)[0].read_bytes())
     found = find_images(tmp_path)
     assert len(found.images) == 3
     assert found.left_out == (("d.png", "the same bytes as a.png"),)

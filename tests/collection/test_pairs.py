@@ -9,14 +9,11 @@ from epiprior.collection.pairs import choose_pairs, default_pairs
 NAMES = ["a 1.jpg", "b.jpg", "c.jpg", "d.jpg"]
 
 
-def test_all_and_neighbours():
+def test_all_neighbours_and_a_list_of_names(tmp_path):
     assert choose_pairs("exhaustive", NAMES) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     assert choose_pairs("sequential:1", NAMES) == [(0, 1), (1, 2), (2, 3)]
     assert choose_pairs("sequential:2", NAMES) == [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]
     assert (default_pairs(200), default_pairs(201)) == ("exhaustive", "similar:20")
-
-
-def test_a_list_of_names(tmp_path):
     path = tmp_path / "pairs.txt"
     path.write_text("# of hloc\nd.jpg a 1.jpg\na 1.jpg  b.jpg\n\nb.jpg\ta 1.jpg\nc.jpg d.jpg \n")
     assert choose_pairs(str(path), NAMES) == [(0, 1), (0, 3), (2, 3)]

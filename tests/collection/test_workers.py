@@ -14,31 +14,22 @@ from epiprior.collection.workers import WorkerError, open_pool, run_tasks
 from epiprior.features.images import load_photograph
 
 
-def test_results_of_all_calls():
+def test_results_and_errors_killed_workers_and_other_installations_are_told(tmp_path, monkeypatch):
+    numbers = range(30)
     with open_pool(2) as pool:
-        assert dict(run_tasks(pool, math.factorial, ((n, (n,)) for n in range(30)))) == {
-            n: math.factorial(n) for n in range(30)
-        }
-
-
-def test_errors_are_those_of_the_task(tmp_path):
+        found = dict(run_tasks(pool, math.factorial, ((n, (n,)) for n in numbers)))
+    assert found == {n: math.factorial(n) for n in numbers}
     with open_pool(1) as pool:
         with pytest.raises(ImageError, match=r"gone\.png: no such image file"):
             list(run_tasks(pool, load_photograph, [(1, (tmp_path / "gone.png",))]))
         with pytest.raises(WorkerError, match=r"(?s)ValueError.*Traceback"):
             list(run_tasks(pool, math.sqrt, [(1, (-1.0,))]))
         assert list(run_tasks(pool, math.sqrt, [(1, (4.0,))])) == [(1, 2.0)]
-
-
-def test_a_worker_of_another_installation_is_refused(monkeypatch):
+    with open_pool(1) as pool, pytest.raises(WorkerError, match="a worker was killed"):
+        list(run_tasks(pool, os._exit, [(1, (1,))]))
     monkeypatch.setattr("epiprior.collection.workers.installation", lambda: "mine")
     with open_pool(1) as pool, pytest.raises(SettingsError, match="has another epiprior"):
         list(run_tasks(pool, math.sqrt, [(1, (4.0,))]))
-
-
-def test_a_killed_worker_is_told():
-    with open_pool(1) as pool, pytest.raises(WorkerError, match="a worker was killed"):
-        list(run_tasks(pool, os._exit, [(1, (1,))]))
 
 
 def test_workers_end_with_a_killed_parent():

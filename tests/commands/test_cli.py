@@ -4,7 +4,6 @@ import errno
 import json
 import logging
 import os
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 
 import epiprior
-from command_line import PAIR, FakeLibrary, one_line
+from command_line import PAIR, FakeLibrary, one_line, run_python
 from command_line import run_command as run
 from epiprior import ImageError, ModelError, Status
 from epiprior.io import read_matches
@@ -23,7 +22,6 @@ from epiprior.presets import find_preset
 from epiprior.types import Geometry
 from pictures import relief_pair, save, texture
 from synthetic import make_estimate, make_matches
-from tiny_model import make_model
 
 KEYS = "status confidence geometry F H support matches iterations estimator version input preset roll_deg seed"
 
@@ -46,32 +44,18 @@ def images(tmp_path):
 
 
 def test_estimate_as_json(library):
-    asked = ("--min-confidence", 0.4)
-    result = run(
-        "estimate", "a.jpg", "b.jpg", "--json", "--estimator", "prosac", "--seed", 5, "--threshold", 2.5, *asked
-    )
+    options = ("--estimator", "prosac", "--seed", 5, "--threshold", 2.5, "--min-confidence", 0.4)
+    result = run("estimate", "a.jpg", "b.jpg", "--json", *options)
     assert (result.exit_code, result.stderr) == (0, "")
     printed = json.loads(result.stdout)
     assert list(printed) == [*KEYS.split(), "seconds", "message"]
     np.testing.assert_array_equal(printed["F"], PAIR.F)
-    wanted = {
-        "status": "ok",
-        "support": PAIR.right.sum(),
-        "matches": len(PAIR.matches),
-        "geometry": "general",
-        "seed": 5,
-    }
-    wanted |= {"confidence": 0.875, "preset": "default", "seconds": {"estimator": 0.25}}
+    wanted = {"status": "ok", "support": PAIR.right.sum(), "matches": len(PAIR.matches), "geometry": "general"}
+    wanted |= {"seed": 5, "confidence": 0.875, "preset": "default", "seconds": {"estimator": 0.25}}
     assert {name: printed[name] for name in wanted} == wanted
-    assert library.options() == {
-        "images": (Path("a.jpg"), Path("b.jpg")),
-        "estimator": "prosac",
-        "mode": "preprocess",
-        "settings": find_preset("default"),
-        "seed": 5,
-        "threshold_px": 2.5,
-        "min_confidence": 0.4,
-    }
+    asked = {"images": (Path("a.jpg"), Path("b.jpg")), "estimator": "prosac", "mode": "preprocess", "seed": 5}
+    asked |= {"settings": find_preset("default"), "threshold_px": 2.5, "min_confidence": 0.4}
+    assert library.options() == asked
 
 
 @pytest.mark.parametrize(
@@ -86,7 +70,7 @@ def test_estimate_with_a_mode(library, mode, taken, preset):
     assert f"{taken} matches; roll" in run("estimate", "a", "b", "--mode", mode, "--text").stdout
 
 
-def test_estimate_as_text(library):
+def test_estimate_as_text_and_an_unknown_confidence(library):
     result = run("estimate", "a", "b", "--text")
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
@@ -94,9 +78,6 @@ def test_estimate_as_text(library):
     assert lines[0] == f"usac: ok, confidence 0.88, geometry general, {support}"
     assert [line[0] for line in lines[1:4]] == ["F", " ", " "]
     np.testing.assert_allclose([[float(v) for v in line[1:].split()] for line in lines[1:4]], PAIR.F, rtol=1e-9)
-
-
-def test_an_unknown_confidence_is_null_and_left_out_of_the_text(library):
     library.estimate = estimate_of(confidence=float("nan"))
     assert json.loads(run("estimate", "a", "b", "--json").stdout)["confidence"] is None
     assert "confidence" not in run("estimate", "a", "b", "--text").stdout
@@ -117,19 +98,16 @@ def test_no_geometry_is_exit_code_1(library, status):
 @pytest.mark.parametrize(
     ("error", "line"),
     [
-        (ImageError("a.jpg: no such image file"), "epiprior: error: a.jpg: no such image file"),
-        (ModelError("two\nlines"), "epiprior: error: two lines"),
-        (OSError(errno.ENOSPC, "No space left on device"), "epiprior: error: No space left on device"),
-        (PermissionError(errno.EACCES, "Permission denied", "/x/y"), "epiprior: error: /x/y: Permission denied"),
+        (ImageError("a.jpg: no such image file"), "a.jpg: no such image file"),
+        (ModelError("two\nlines"), "two lines"),
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
+        (PermissionError(errno.EACCES, "Permission denied", "/x/y"), "/x/y: Permission denied"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(library, error, line):
+def test_errors_are_one_line_and_exit_code_2_but_a_bug_keeps_its_traceback(library, error, line):
     library.estimate = error
     result = run("estimate", "a", "b")
-    assert (result.exit_code, one_line(result), result.stdout) == (2, line, "")
-
-
-def test_a_bug_keeps_its_traceback(library):
+    assert (result.exit_code, one_line(result), result.stdout) == (2, f"epiprior: error: {line}", "")
     library.estimate = ZeroDivisionError("a bug")
     assert isinstance(run("estimate", "a", "b").exception, ZeroDivisionError)
 
@@ -149,15 +127,12 @@ def test_library_messages_go_to_stderr(monkeypatch):
     assert logging.getLogger("epiprior").handlers == []
 
 
-def test_match_writes_all_sets(library, tmp_path):
+def test_match_writes_all_sets_and_says_where_there_are_none(library, images, tmp_path):
     result = run("match", "a", "b", "--out", tmp_path / "m.csv", "--preset", "paper")
     assert result.exit_code == 0
     assert library.options("rank_matches")["settings"] == find_preset("paper")
     assert [s.roll_deg for s in read_matches(tmp_path / "m.csv")] == [0.0, 90.0]
     assert str(len(PAIR.matches)) in result.stdout
-
-
-def test_match_without_any(library, images, tmp_path):
     library.sets = (PAIR.matches.take(slice(0, 0)),)
     result = run("match", *images, "--out", tmp_path / "m.csv")
     assert result.exit_code == 1
@@ -174,7 +149,7 @@ def test_outputs_are_checked_before_the_work(library, tmp_path, command, name):
     assert library.calls == []
 
 
-def test_draw_shows_the_set_of_the_winning_roll(library, images, tmp_path):
+def test_draw_shows_the_set_of_the_winning_roll_and_draws_without_geometry(library, images, tmp_path):
     library.estimate = estimate_of(roll_deg=90.0)
     library.sets = (make_matches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0)), library.sets[1])
     result = run("draw", *images, "--out", tmp_path / "f.png")
@@ -183,32 +158,34 @@ def test_draw_shows_the_set_of_the_winning_roll(library, images, tmp_path):
     figure = cv2.imread(str(tmp_path / "f.png")).astype(int)
     assert figure.shape[1] == 2056
     assert (np.ptp(figure[150:800], axis=2) > 60).sum() > 5000
-
-
-def test_draw_without_geometry_still_draws(library, images, tmp_path):
+    library.calls.clear()
     library.estimate = estimate_of(Status.NO_MODEL, "nothing fits")
-    result = run("draw", *images, "--out", tmp_path / "f.png", "--mode=standard")
+    result = run("draw", *images, "--out", tmp_path / "g.png", "--mode=standard")
     assert result.exit_code == 1
-    assert (tmp_path / "f.png").exists()
+    assert (tmp_path / "g.png").exists()
     assert {name for name, _ in library.calls} == {"estimate_fundamental", "standard_matches"}
     assert library.options()["ranked"] is None
 
 
-def test_estimators():
+def test_estimators_and_models_are_listed(model_folder, tmp_path):
     assert "usac" in run("estimators").stdout
     rows = {row["name"]: row for row in json.loads(run("estimators", "--json").stdout)}
     assert rows["usac"] == {"name": "usac", "available": True, "status": "available", "licence": "Apache-2.0"}
     assert set(rows) == set(epiprior.list_estimators())
-
-
-def test_info_of_nothing(tmp_path):
+    result = run("info", f"{model_folder}{os.sep}")
+    assert result.exit_code == 0, result.stderr
+    for words in ("similarity_main", "0.125", "onnx", "0" * 30):
+        assert words in result.stdout
+    printed = json.loads(run("info", model_folder, "--json").stdout)
+    assert printed["match"]["features"][0] == "supporting_matrices"
+    assert printed["folder"] == str(model_folder)
     for name in ("nothing", "no/folder", tmp_path):
         result = run("info", name)
         assert result.exit_code == 2
         assert str(name) in one_line(result)
 
 
-def test_help_version_and_usage():
+def test_help_version_and_usage_import_nothing_slow():
     for name in ("match", "estimate", "draw", "info", "sfm", "colmap", "hloc"):
         result = run(name, "--help")
         assert result.exit_code == 0
@@ -216,23 +193,19 @@ def test_help_version_and_usage():
     assert run("--version").stdout.startswith("epiprior 0.")
     for wrong in (["a"], ["a", "b", "--seed", "-1"], ["a", "b", "--mode", "waterfall"]):
         assert run("estimate", *wrong).exit_code == 2
-
-
-def test_help_imports_nothing_slow():
     code = (
         "import sys; from epiprior.cli import app\n"
         "try: app(['--help'])\n"
         "except SystemExit: pass\n"
         "print({m.split('.')[0] for m in sys.modules} & {'numpy', 'numba', 'cv2', 'scipy', 'onnxruntime'})"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    assert result.stdout.splitlines()[-1] == "set()"
+    assert run_python(code).stdout.splitlines()[-1] == "set()"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-@pytest.mark.parametrize(("arguments", "unbuffered"), [(["estimators", "--json"], ""), (["--version"], "1")])
-def test_full_standard_output(arguments, unbuffered):
-    command = [sys.executable, "-m", "epiprior.cli", *arguments]
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_full_standard_output(unbuffered):
+    command = [sys.executable, "-m", "epiprior.cli", "--version"]
     environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     with Path("/dev/full").open("w") as full:
         result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, env=environment)
@@ -242,14 +215,9 @@ def test_full_standard_output(arguments, unbuffered):
 # From here on the library itself runs, with a model made by hand.
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    return make_model(tmp_path_factory.mktemp("models") / "default")
-
-
 @pytest.fixture
-def with_model(model, monkeypatch):
-    monkeypatch.setattr("epiprior.ranking.models.find_model", lambda name: model)
+def with_model(model_folder, monkeypatch):
+    monkeypatch.setattr("epiprior.ranking.models.find_model", lambda name: model_folder)
 
 
 @pytest.fixture(scope="module")
@@ -271,8 +239,7 @@ def photographs(tmp_path_factory):
 def assert_rows_correspond(F, x1):
     """The cameras of the good pair stand side by side: (F x1) is the row of x1, here at the column 200."""
     lines = np.column_stack([x1, np.ones(len(x1))]) @ np.array(F).T
-    rows = -(lines[:, 0] * 200 + lines[:, 2]) / lines[:, 1]
-    np.testing.assert_allclose(rows, np.array(x1)[:, 1], atol=1.5)
+    np.testing.assert_allclose(-(lines[:, 0] * 200 + lines[:, 2]) / lines[:, 1], np.array(x1)[:, 1], atol=1.5)
 
 
 @pytest.mark.parametrize("how", ["--mode=preprocess", "--mode=standard", "--mode=cascade"])
@@ -320,19 +287,15 @@ def test_bad_pairs(with_model, photographs, tmp_path, name1, name2, code, words)
     assert len(list(tmp_path.iterdir())) == (2 if code == 1 else 0)
 
 
-def test_unknown_names(with_model, photographs):
+def test_unknown_names_and_what_is_not_installed(with_model, photographs, tmp_path, monkeypatch):
     pair = (photographs["left"], photographs["right"])
     for option in ("--estimator", "--preset"):
         result = run("estimate", *pair, option, "nonsense")
         assert result.exit_code == 2
         assert "nonsense" in one_line(result)
     assert "threshold" in one_line(run("estimate", *pair, "--threshold", "-1"))
-
-
-def test_what_is_not_installed(with_model, photographs, tmp_path, monkeypatch):
     for package in ("poselib", "pycolmap"):
         monkeypatch.setitem(sys.modules, package, None)
-    pair = (photographs["left"], photographs["right"])
     for arguments, words in (
         (["estimate", *pair, "--estimator", "prosac"], 'prosac is not installed: pip install "epiprior[poselib]"'),
         (["draw", *pair, "--estimator", "prosac", "--out", tmp_path / "f.png"], "prosac is not installed"),
@@ -345,44 +308,10 @@ def test_what_is_not_installed(with_model, photographs, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_match_and_draw_a_good_pair(with_model, photographs, tmp_path):
-    pair = (photographs["left"], photographs["right"])
-    result = run("match", *pair, "--out", tmp_path / "m.npz")
-    assert result.exit_code == 0, result.stderr
-    best = read_matches(tmp_path / "m.npz")[0]
-    assert len(best) > 300
-    assert (np.diff(best.probability) <= 0).all()
-    assert np.median(np.abs(best.x1 - best.x2)[:200, 1]) < 1
-    result = run("draw", *pair, "--out", tmp_path / "f.jpg")
-    assert result.exit_code == 0, result.stderr
-    assert cv2.imread(str(tmp_path / "f.jpg")).shape[1] > 900
-
-
-def test_info(model):
-    result = run("info", f"{model}{os.sep}")
-    assert result.exit_code == 0, result.stderr
-    for words in ("similarity_main", "0.125", "onnx", "0" * 30):
-        assert words in result.stdout
-    printed = json.loads(run("info", model, "--json").stdout)
-    assert printed["match"]["features"][0] == "supporting_matrices"
-    assert printed["folder"] == str(model)
-
-
-def test_a_damaged_model(model, tmp_path, monkeypatch, photographs):
-    damaged = shutil.copytree(model, tmp_path / "default")
-    (damaged / "match.onnx").write_bytes(b"damage")
-    monkeypatch.setattr("epiprior.ranking.models.find_model", lambda name: damaged)
-    for arguments in (["info", damaged], ["estimate", photographs["left"], photographs["right"], "--json"]):
-        result = run("--quiet", *arguments)
-        assert (result.exit_code, result.stdout) == (2, "")
-        assert "match.onnx" in one_line(result)
-
-
 def test_exit_codes_of_the_real_program(photographs):
-    left, right, cut = (photographs[name] for name in ("left", "right", "cut"))
+    left, cut, black = (photographs[name] for name in ("left", "cut", "black"))
     for pair, code, status, words in (
-        ((left, right), 0, "ok", ""),
-        ((left, left), 1, "degenerate", "epiprior: no fundamental matrix: degenerate"),
+        ((black, black), 1, "too_few_matches", "epiprior: no fundamental matrix: too_few_matches"),
         ((cut, left), 2, "", f"epiprior: error: {cut}"),  # of which OpenCV warns as well
     ):
         command = [sys.executable, "-W", "error", "-m", "epiprior.cli", "--quiet", "estimate", *pair, "--mode=standard"]
@@ -390,4 +319,4 @@ def test_exit_codes_of_the_real_program(photographs):
         assert done.returncode == code
         assert (json.loads(done.stdout)["status"] if status else done.stdout) == status
         assert done.stderr.startswith(words)
-        assert done.stderr.count("\n") == min(code, 1)
+        assert done.stderr.count("\n") == 1

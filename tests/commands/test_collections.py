@@ -12,15 +12,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import typer
 
-import epiprior
 from collections_fakes import FakeEstimation, in_this_process, small_images, views
 from command_line import one_line
 from command_line import run_command as run
 from epiprior import Status
+from epiprior.features.detect import detect_features
+from epiprior.features.images import load_photograph
 from epiprior.presets import find_preset
-from pictures import turned_jpeg
+from feature_files import extract_colmap, hloc_parts, write_h5
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -55,17 +55,21 @@ def test_colmap(estimation, images, tmp_path):
     assert run("colmap", images / "Photo 1.png", "--database", tmp_path / "new.db").exit_code == 2
 
 
-def test_colmap_without_geometry(images, tmp_path, monkeypatch):
+def test_without_geometry_or_model_it_is_said_why(images, tmp_path, monkeypatch):
     in_this_process(monkeypatch, FakeEstimation(Status.DEGENERATE))
     result = run("--quiet", "colmap", images, "--database", tmp_path / "out.db")
     assert result.exit_code == 1
     assert one_line(result).endswith("Photo 1.png, Photo 2.png: degenerate: as the test wants")
+    result = run("--quiet", "sfm", images, "--out", tmp_path / "scene")
+    assert result.exit_code == 1
+    assert "no model" in one_line(result)
+    page = (tmp_path / "scene" / "report.html").read_text()
+    assert page.count("no: no pair has a geometry") == 3
+    assert "not written: degenerate" in page
 
 
 def test_colmap_adds_to_a_database(estimation, images, tmp_path):
-    options = pycolmap.FeatureExtractionOptions()
-    options.use_gpu, options.num_threads = False, 1
-    pycolmap.extract_features(tmp_path / "out.db", images, extraction_options=options)
+    extract_colmap(tmp_path / "out.db", images)
     pairs = tmp_path / "pairs.txt"
     pairs.write_text("Photo 1.png Photo 2.png\n")
     result = run("--quiet", "colmap", "--database", tmp_path / "out.db", "--pairs", pairs, "--work", tmp_path / "w")
@@ -94,18 +98,6 @@ def test_all_images_are_checked_before_the_work(estimation, images, tmp_path, co
     assert not list(tmp_path.glob("o*"))
 
 
-def test_what_is_left_out_or_ignored_is_said_once(estimation, images, tmp_path):
-    for name in ("._Photo 1.png", "._Photo 2.png"):
-        (images / name).write_bytes(b"\0\5\x16\7")
-    turned_jpeg(images / "turned.jpg")
-    result = run("--quiet", "colmap", images, "--database", tmp_path / "out.db")
-    assert result.exit_code == 0, result.stderr
-    first, second = result.stderr.splitlines()
-    assert "._Photo 1.png: one of 2 files named ._*" in first
-    assert "turned.jpg" in second
-    assert len(names_in(tmp_path / "out.db")) == 4
-
-
 def test_options_reach_the_estimation(estimation, images, tmp_path):
     options = ["--max-image-size", 128, "--features", "colmap-sift", "--max-features", 100, "--preset", "paper"]
     options += ["--mode", "standard", "--estimator", "usac", "--seed", 5, "--threshold", 2.5, "--pairs", "sequential:1"]
@@ -120,29 +112,10 @@ def test_options_reach_the_estimation(estimation, images, tmp_path):
     assert "max_image_size is 5, must" in one_line(small)
 
 
-def test_colmap_finishes_where_its_output_is_closed_early(estimation, images, tmp_path, monkeypatch):
-    echo = typer.echo
-
-    def closed(text="", **options):
-        if not options.get("err"):
-            raise BrokenPipeError(32, "Broken pipe")
-        echo(text, **options)
-
-    monkeypatch.setattr(typer, "echo", closed)
-    result = run("--quiet", "colmap", images, "--database", tmp_path / "out.db")
-    assert result.exit_code == 0
-    assert "the output was closed early" in result.stderr
-    assert len(names_in(tmp_path / "out.db")) == 3
-
-
 def test_hloc(estimation, images, tmp_path):
     h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "feats.h5", "w") as file:
-        for path in images.iterdir():
-            own = epiprior.features.detect.detect_features(epiprior.features.images.load_photograph(path))
-            parts = {"keypoints": own.xy, "descriptors": own.descriptors.T, "image_size": np.array(own.image_size)}
-            for key, value in (parts | {"scales": own.scale, "oris": own.orientation_deg}).items():
-                file.create_dataset(f"{path.name}/{key}", data=value)
+    parts = {path.name: hloc_parts(detect_features(load_photograph(path))) for path in images.iterdir()}
+    write_h5(tmp_path / "feats.h5", parts)
     command = ("--quiet", "hloc", images, "--features", tmp_path / "feats.h5", "--matches", tmp_path / "matches.h5")
     result = run(*command, "--roots", 0)
     assert (result.exit_code, result.stderr) == (0, "")
@@ -156,7 +129,18 @@ def test_hloc(estimation, images, tmp_path):
 def test_from_a_folder_to_a_model(tmp_path, caplog):
     folder = views(tmp_path / "set")
     shutil.copy(folder / "0.png", folder / "copy.png")
-    command = ("sfm", folder, "--out", tmp_path / "scene", "--mode", "standard", "--camera-mode", "single")
+    command = (
+        "sfm",
+        folder,
+        "--out",
+        tmp_path / "scene",
+        "--mode",
+        "standard",
+        "--camera-mode",
+        "single",
+        "--workers",
+        1,
+    )
     with caplog.at_level(logging.INFO, "epiprior"):
         result = run(*command)
     assert result.exit_code == 0, result.stderr
@@ -175,16 +159,6 @@ def test_from_a_folder_to_a_model(tmp_path, caplog):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").write_text("")
     assert "is neither empty nor made by this command" in one_line(run("sfm", folder, "--out", tmp_path / "other"))
-
-
-def test_without_a_model_the_report_says_why(images, tmp_path, monkeypatch):
-    in_this_process(monkeypatch, FakeEstimation(Status.DEGENERATE))
-    result = run("--quiet", "sfm", images, "--out", tmp_path / "scene")
-    assert result.exit_code == 1
-    assert "no model" in one_line(result)
-    page = (tmp_path / "scene" / "report.html").read_text()
-    assert page.count("no: no pair has a geometry") == 3
-    assert "not written: degenerate" in page
 
 
 KILLS = int(os.environ.get("EPIPRIOR_KILLS", "3"))

@@ -44,9 +44,8 @@ def test_unknown_and_missing_keys_are_named_with_their_section(file, section, lo
     document = document_of(file)
     known = next(iter(document[section]))
     document[section]["sheed"] = document[section].pop(known)
-    with pytest.raises(
-        SettingsError, match=rf"params\.yaml: missing key {section}\.{known}; unknown key {section}\.sheed"
-    ):
+    message = rf"params\.yaml: missing key {section}\.{known}; unknown key {section}\.sheed"
+    with pytest.raises(SettingsError, match=message):
         load(document)
     del document[section]
     with pytest.raises(SettingsError, match=rf"params\.yaml: missing key {section}$"):
@@ -57,22 +56,18 @@ def test_unknown_and_missing_keys_are_named_with_their_section(file, section, lo
     ("key", "value", "message"),
     [
         ("scenes.jpeg_quality", 101, " = 101: Input should be less than or equal to 100"),
-        ("scenes.image_width", 1024.0, " = 1024.0: Input should be a valid integer"),
         ("scenes.seed", True, " = True: Input should be a valid integer"),
         ("scenes.seed", "7", " = '7': Input should be a valid integer"),
         ("scenes.families", [], r" = \[\]: .* at least 1 item"),
-        ("scenes.families", "open", " = 'open': Input should be a valid array"),
         ("scenes.families", ["open", "open"], " = .*repeated"),
         ("scenes.pairs", 3, ": expected a mapping, got 3"),
         ("scenes.pairs.train.open", 0, " = 0: Input should be greater than or equal to 1"),
         ("truth.tolerance_px", float("nan"), " = nan: Input should be"),
-        ("truth.tolerance_px", "1e-3", " = '1e-3': Input should be a valid number"),
         ("truth.depth_tolerance", 1.0, " = 1.0: Input should be less than 1"),
         ("truth.hard_share", 0.6, " = 0.6: above easy_share = 0.5"),
         ("train.exported.default", "xgboost", ": 'xgboost' is not among tree"),
         ("hand_over.top_k", [8, 4], r"\.1 = 4: Input should be greater than or equal to 8$"),
         ("hand_over.one_to_one", [1], r"\.0 = 1: Input should be a valid boolean$"),
-        ("hand_over.threshold_px", [None], r"\.0 = None: Input should be a valid number"),
         ("hand_over.weighted.estimators", ["usax"], ": 'usax' is not among usac"),
         ("cascade.min_confidence", [1.5], r"\.0 = 1.5: Input should be less than or equal to 1"),
         ("evaluate.groups", ["facades-easy", "facades-hard", "open", "closed"], ": 'closed' is not among facades-easy"),
@@ -80,11 +75,7 @@ def test_unknown_and_missing_keys_are_named_with_their_section(file, section, lo
         ("evaluate.inputs", ["raw"], r"\.0 = 'raw': Input should be 'standard', 'snn'"),
         ("evaluate.inputs", ["snn"], " of magsac.* are snn: expected standard or generalized"),
         ("evaluate.other_inputs", {"usax": ["standard"]}, ": 'usax' is not among usac"),
-        ("evaluate.other_inputs.usac", ["lowe"], r"\.0 = 'lowe': Input should be 'standard'"),
-        ("evaluate.other_inputs.usac", ["snn", "snn"], " = .*repeated"),
         ("scenes.pairs.test", {"open": 3}, " counts .*, expected the families"),
-        ("evaluate.other_inputs", ["usac"], " = .*: Input should be an object"),
-        ("evaluate.whole", ["adalam"], r"\.0 = 'adalam': Input should be"),
         ("evaluate.apart", ["moon"], ": 'moon' is not among facades-easy"),
         ("report.strict_px", 20.0, " = 20.0: above success_px"),
         ("report.champion", "usax", ": 'usax' is not among usac"),
@@ -100,30 +91,26 @@ def test_wrong_types_and_ranges_are_named(key, value, message, load):
         load(document)
 
 
-def test_settings_that_do_not_agree_are_named_and_all_errors_at_once(load):
-    document = document_of()
-    document["scenes"]["seed"], document["truth"]["plane_px"] = "7", 0
-    with pytest.raises(SettingsError, match=r"truth\.plane_px = 0: .*; scenes\.seed = '7': "):
-        load(document)
-    for section, key, value, message in (
-        ("report", "thresholds_px", [5.0, 3.0], "report.success_px: 10.0 is not among 5.0, 3.0"),
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scenes.seed": "7", "truth.plane_px": 0}, r"truth\.plane_px = 0: .*; scenes\.seed = '7': "),
+        ({"report.thresholds_px": [5.0, 3.0]}, "report.success_px: 10.0 is not among 5.0, 3.0"),
         (
-            "evaluate",
-            "other_inputs",
-            {"usac": ["standard", "generalized"]},
+            {"evaluate.other_inputs": {"usac": ["standard", "generalized"]}},
             "inputs of usac are standard, generalized: exp",
         ),
-    ):
-        document = document_of()
-        document[section][key] = value
-        with pytest.raises(SettingsError, match=message):
-            load(document)
-
-
-def test_a_section_made_by_hand_is_checked_too():
-    params = load_study(FILES["study"])
-    with pytest.raises(ValidationError, match="tolerance"):
-        replace(params.cascade, tolerance=1.5)
+    ],
+)
+def test_settings_that_do_not_agree_are_named_and_all_errors_at_once(changes, message, load):
+    document = document_of()
+    for key, value in changes.items():
+        section, name = key.split(".")
+        document[section][name] = value
+    with pytest.raises(SettingsError, match=message):
+        load(document)
+    with pytest.raises(ValidationError, match="tolerance"):  # also of a section that is made by hand
+        replace(load_study(FILES["study"]).cascade, tolerance=1.5)
 
 
 def test_what_follows_from_parameters():

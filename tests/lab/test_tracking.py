@@ -4,7 +4,6 @@ import logging
 import re
 import warnings
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -73,6 +72,7 @@ def test_a_run_with_a_nested_run_per_fold(store, target):
         assert (run.data.params["folds"], run.data.params["preset"]) == ("3", "paper")
         with tracking._mlflow(store) as client:
             assert [item.path for item in client.list_artifacts(run.info.run_id)] == ["reliability.png"]
+        assert bool(run.outputs.model_outputs) == (run.data.tags["family"] == "tree")  # which is exported
     folds = [run for run in runs if "fold" in run.data.tags]
     assert len(folds) == 6
     for fold in folds:
@@ -81,23 +81,7 @@ def test_a_run_with_a_nested_run_per_fold(store, target):
     assert all(run.info.status == "FINISHED" for run in runs)
 
 
-def test_the_model_of_an_exported_family_can_be_loaded_from_its_run(store):
-    (run,) = runs_of(store, "match", "tags.family = 'tree'")
-    (other,) = runs_of(store, "match", "tags.family = 'svm'")
-    assert not other.outputs.model_outputs
-    with tracking._mlflow(store):
-        import mlflow
-
-        model = mlflow.pyfunc.load_model(f"runs:/{run.info.run_id}/model")
-        said = model.predict({"rows": ROWS.rows[:20]})["probability"]
-        assert model.metadata.signature.inputs.input_names() == ["rows"]
-        assert model.metadata.signature.outputs.input_names() == ["probability"]
-        assert model.input_example["rows"].shape == (5, 5)
-    expected = fit("tree", ROWS.rows, ROWS.labels, seed=1).probability(ROWS.rows[:20])
-    np.testing.assert_allclose(said, expected, atol=1e-6)
-
-
-def test_promotion_is_explicit_and_takes_the_newest(store):
+def test_promotion_is_explicit_takes_the_newest_and_names_what_is_not_there(store, tmp_path):
     with tracking._mlflow(store) as client:
         assert not client.search_registered_models()
     assert promote("paper", root=store) == {"epiprior-paper-two_keypoint": "1", "epiprior-paper-match": "1"}
@@ -107,9 +91,6 @@ def test_promotion_is_explicit_and_takes_the_newest(store):
         version = client.get_model_version_by_alias("epiprior-paper-match", "champion")
     newest = max(runs_of(store, "match", "tags.exported = 'true'"), key=lambda run: run.info.start_time)
     assert version.run_id == newest.info.run_id
-
-
-def test_promotion_of_what_is_not_there(store, tmp_path):
     for preset, root, message in (
         ("default", store, "no finished run of an exported two_keypoint classifier"),
         ("paper", tmp_path, r"mlflow.db: no such file"),

@@ -14,7 +14,6 @@ from epiprior.features.images import load_photograph
 from epiprior.geometry import eight_point, normalise_fundamental, sampson_distance
 from epiprior.presets import PAPER, FeatureSettings, find_preset
 from epiprior.rank import rank_matches
-from epiprior.ranking.frames import MatchFrames
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
 from epiprior_lab.analysis import analyse as analysis
 from epiprior_lab.analysis import oracles as analysis_oracles
@@ -25,7 +24,7 @@ from epiprior_lab.evaluation.records import RANKS, RankingRecord, RunRecord, Tab
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.report import analysis as page
 from epiprior_lab.report import analysis_tables
-from synthetic import make_pair
+from synthetic import make_frames, make_pair
 
 SETTINGS = AnalysisSettings(
     estimator="usac",
@@ -66,32 +65,23 @@ def ranked(pairs, model):
 
 def test_two_oriented_matches_give_eight_points():
     rng = np.random.default_rng(2)
-    n = 5
-    x1, x2 = rng.uniform(0, 500, (2, n, 2))
-    s1, s2 = rng.uniform(2, 8, (2, n))
-    a1, a2 = rng.uniform(0, 6, (2, n))
-    frames = MatchFrames(
-        x1=x1, x2=x2, scale1=s1, scale2=s2, orientation1_rad=a1, orientation2_rad=a2,
-        similarity=np.ones(n), fixed_similarity=np.ones(n), roll_rad=0.0,
-    )  # fmt: skip
+    x, s, a = rng.uniform(0, 500, (2, 5, 2)), rng.uniform(2, 8, (2, 5)), rng.uniform(0, 6, (2, 5))
+    frames = make_frames(*x, scale1=s[0], scale2=s[1], orientation1_rad=a[0], orientation2_rad=a[1])
     # Matches 3 and 1 are held by the most probable 2keypoint matches; 4 by none.
     pairs = TwoKeypointMatches(np.array([3, 1, 0]), np.array([3, 2, 2]), (), np.empty((3, 0), np.float32))
     votes = oriented_votes(frames, pairs, np.array([0.9, 0.8, 0.1]), replace(PRESETS["default"], two_keypoint_count=2))
-    points = []
-    for x, s, a in ((x1, s1, a1), (x2, s2, a2)):
-        turns = [a[:, None] + 2 * np.pi * k / 3 for k in range(3)]
-        around = [x + 6 * s[:, None] * np.hstack([np.cos(t), np.sin(t)]) for t in turns]
-        points.append(np.concatenate([np.stack([x, *around], axis=1)[row] for row in (3, 1)]))
-    assert votes.matrices.shape == (1, 3, 3)
+    turns = a[:, None] + 2 * np.pi * np.arange(3)[:, None] / 3
+    around = x[:, None] + 6 * s[:, None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    points = np.concatenate([x[:, None], around], axis=1)[:, :, [3, 1]].transpose(0, 2, 1, 3).reshape(2, 8, 2)
+    (found,) = votes.matrices
     # The two have 8 points, which decide F exactly.
-    found = normalise_fundamental(votes.matrices[0])
-    np.testing.assert_allclose(found, eight_point(*points), atol=1e-6)
-    inside = sampson_distance(votes.matrices[0], x1, x2) < PRESETS["default"].vote_threshold
+    np.testing.assert_allclose(normalise_fundamental(found), eight_point(*points), atol=1e-6)
+    inside = sampson_distance(found, *x) < PRESETS["default"].vote_threshold
     np.testing.assert_array_equal(votes.sfm, inside)
     np.testing.assert_allclose(votes.weighted, np.where(inside, 0.9 * 0.8, 0), rtol=1e-6)
 
 
-def test_orders_by_one_measure(ranked):
+def test_variants_of_the_default_method_and_orders_by_one_measure(ranked, pairs, model):
     matches = ranked.sets[0]
     for ranking, column in (("sfm", "supporting_matrices"), ("2keypoint", "two_keypoint_probability")):
         alone = reordered(matches, ranking)
@@ -100,9 +90,6 @@ def test_orders_by_one_measure(ranked):
         assert (np.diff(values) <= 0).all()
         np.testing.assert_allclose(alone.probability, values / (len(matches.rough_matrices) if ranking == "sfm" else 1))
     assert reordered(matches, "final") is matches
-
-
-def test_variants_of_the_default_method(pairs, ranked, model):
     images = (pairs[0].image1, pairs[0].image2)
     features = tuple(detect_features(load_photograph(image), FeatureSettings()) for image in images)
     proposals = propose(images, features, PRESETS["default"], model)
@@ -114,8 +101,7 @@ def test_variants_of_the_default_method(pairs, ranked, model):
     assert (alone.distance_ratio == 1).all()
     assert (alone.similarity_weight == 0).all()
     assert alone.supporting_matrices.max() == whole.supporting_matrices.max()
-    few = ranked_sets(proposals, replace(PRESETS["default"], two_keypoint_count=10))[0]
-    assert len(few.rough_matrices) == 45
+    assert len(ranked_sets(proposals, replace(PRESETS["default"], two_keypoint_count=10))[0].rough_matrices) == 45
 
 
 def test_oracles_know_the_truth():
@@ -143,16 +129,10 @@ def test_rows_of_a_pair(analysed):
     assert found["steps"] == steps
     assert found["ablation"] == {"default", "one round", "X alone", "frames of SIFT", "oriented matches", "K_2kp 12"}
     relief = results[results["pair_id"] == "relief-0"].set_index(["experiment", "variant", "estimator", "ranking"])
-    for row in (
-        ("steps", "standard", "usac", "lowe"),
-        ("steps", "default", "usac", "final"),
-        ("ablation", "default", "usac", "sfm"),
-        ("oracle", "default", "prosac", "final"),
-        ("oracle", "true labels", "prosac", "final"),
-        ("oracle", "true labels", "magsac++", "final"),
-        ("oracle", "right matches", "none", "final"),
-        ("oracle", "best rough F, refined on all", "none", "final"),
-    ):
+    oracles = ("default", "prosac"), ("true labels", "prosac"), ("true labels", "magsac++"), ("right matches", "none")
+    rows = [("oracle", *each, "final") for each in (*oracles, ("best rough F, refined on all", "none"))]
+    rows += [("steps", "standard", "usac", "lowe"), ("steps", "default", "usac", "final")]
+    for row in (*rows, ("ablation", "default", "usac", "sfm")):
         assert (relief.loc[row, "error_px"] < 1).all(), row
     assert 0.05 < relief.loc[("oracle", "best rough F", "none", "final"), "error_px"].iloc[0] < 10
     single, refined = (relief.loc[("steps", f"single F{how}", "none", "none"), "error_px"] for how in ("", ", refined"))
@@ -217,8 +197,7 @@ RATES = {
 
 
 def test_where_successes_are_lost():
-    lost = analysis_tables.lost_table(made_up(RATES), (10.0, 0.5))
-    at = lost.set_index(["threshold_px", "estimator"])
+    at = analysis_tables.lost_table(made_up(RATES), (10.0, 0.5)).set_index(["threshold_px", "estimator"])
     assert list(at.index) == [(t, name) for t in (10.0, 0.5) for name in ("usac", "beem")]
     parts = ["chosen", "missed", "outscored", "hypothesis", "matches"]
     # The F chosen for p1 has no more support than the right ones: the score is 11 for all.
@@ -228,15 +207,9 @@ def test_where_successes_are_lost():
     higher = made_up(RATES)
     higher.variants.loc[higher.variants["variant"] == "default", "score"] = 12.0
     assert analysis_tables.lost_table(higher, (10.0,)).loc[0, parts].tolist() == pytest.approx([1.8, 0, 0.6, 1.0, 0.6])
-
-
-def test_only_an_f_that_is_right_at_the_threshold_is_the_truth():
-    """The fit to the right matches has much support and an error of 5 px: right below 10 px, wrong below 3 px."""
-    made = made_up(RATES)
-    oracle = made.variants["variant"] == "right matches"
-    made.variants.loc[oracle, ["score", "error_px"]] = [20.0, 5.0]
-    made.variants.loc[made.variants["variant"] == "default", "score"] = 12.0
-    lost = analysis_tables.lost_table(made, (10.0, 3.0)).set_index(["threshold_px", "estimator"])
+    # The fit to the right matches has much support and an error of 5 px: right below 10 px, wrong below 3 px.
+    higher.variants.loc[higher.variants["variant"] == "right matches", ["score", "error_px"]] = [20.0, 5.0]
+    lost = analysis_tables.lost_table(higher, (10.0, 3.0)).set_index(["threshold_px", "estimator"])
     assert lost.loc[(10.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0.6, 0])
     assert lost.loc[(3.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0, 0.6])
 
@@ -248,7 +221,7 @@ def differences(*rows):
     return pd.DataFrame([at | dict(zip(names, row, strict=True)) for row in rows])
 
 
-def test_the_page_says_where_the_whole_is_below_a_part():
+def test_the_page_says_where_the_whole_is_below_a_part_and_which_variants_differ():
     table = differences(
         ("standard", "lowe", 0.4, -1.0, 2.0), ("sfm", "sfm", 1.8, 0.4, 3.0), ("single F", "none", 1.0, 0.5, 2.0),
         ("2keypoint", "2keypoint", 4e-16, 0.0, 1.0), ("paper", "final", np.nan, np.nan, np.nan),
@@ -258,9 +231,6 @@ def test_the_page_says_where_the_whole_is_below_a_part():
     assert text.endswith("excludes zero: sfm alone on hard below 10 px, +1.8 [+0.4, +3.0].")
     assert "single" not in text
     assert "Nor are they below" in page._steps_read(differences(("sfm", "sfm", -1.0, -2.0, 1.0)))
-
-
-def test_the_page_says_which_variants_differ():
     table = differences(
         ("default", "final", np.nan, np.nan, np.nan), ("K_2kp 50", "final", -0.6, -1.2, -0.2),
         ("frames of SIFT", "final", 0.5, 4e-15, 1.0), ("K_2kp 50", "sfm", 0.5, -0.2, 1.0),
@@ -271,7 +241,7 @@ def test_the_page_says_which_variants_differ():
     assert "With 8 pairs" in text
 
 
-def test_successes_and_their_references():
+def test_successes_their_references_and_what_the_pairs_allow():
     table = analysis_tables.success_table(made_up(RATES), "usac", thresholds_px=(10.0,), draws=200, seed=0)
     with_beem = table[table["estimator"] == "beem"].set_index("variant")["difference"]
     assert with_beem[["default", "true labels"]].tolist() == pytest.approx([np.nan, 3 - 1], nan_ok=True)
@@ -283,46 +253,33 @@ def test_successes_and_their_references():
     assert analysis_tables.reference_of(("steps", "sfm", "sfm", "beem"), "usac") == ("steps", "paper", "final", "beem")
     whole = ("ablation", "default", "sfm", "usac")
     assert analysis_tables.reference_of(("ablation", "K_2kp 50", "sfm", "usac"), "usac") == whole
-
-
-def test_what_the_pairs_allow():
     row = analysis_tables.limits_table(made_up(RATES)).iloc[0]
     names = ["enough_8", "enough_15", "right_in_x", "good_rough"]
     assert row[names].tolist() == pytest.approx([0.75, 0.25, 12, 0.075])
 
 
 def evaluated():
-    """Return what an evaluation of five pairs says, of which the shares of right matches in X_L are known."""
+    """Return what an evaluation of five pairs says, of which the numbers of right matches in X_L are known."""
     records = []
-    measures = ("confidence", "median_error_px", "distance", "rotation_deg", "translation_deg")
+    unknown = ("confidence", "median_error_px", "distance", "rotation_deg", "translation_deg")
     for i, right in enumerate([30, 10, 50, 20, 40]):
         key = {"group": "f", "pair_id": f"p{i}", "scene": "s"}
         at = tuple(min(rank, right) if rank != 10 else 9 for rank in RANKS)
+        about = {"right": right, "right_at": at, "features1": 9, "features2": 9, "average_precision": 0.3}
         for name, ranking in itertools.product(("paper", "default"), ("lowe", "blogs", "final")):
-            counts = {
-                "matches": 100 if ranking == "lowe" else 5000,
-                "right": right,
-                "right_at": at,
-                "features1": 9,
-                "features2": 9,
-            }
-            records.append(RankingRecord(**key, input=name, ranking=ranking, average_precision=0.3, **counts))
+            count = 100 if ranking == "lowe" else 5000
+            records.append(RankingRecord(**key, **about, input=name, ranking=ranking, matches=count))
+        about = dict.fromkeys(unknown, np.nan) | {"support": 9, "matches": 9, "iterations": None}
+        about |= {"geometry": "general", "status": "ok"}
         runs = itertools.product(("usac", "beem", "blogs"), ("standard", "paper", "default"), range(3))
         for estimator, name, seed in runs:
-            won = name == "default" or (estimator == "beem" and seed < 2)
-            values = dict.fromkeys(measures, np.nan) | {"iterations": None, "error_px": 2.0 if won else 30.0}
-            counts = dict.fromkeys(("support", "matches"), 9) | {"geometry": "general"}
-            records.append(
-                RunRecord(**key, estimator=estimator, input=name, seed=seed, status="ok", **counts, **values)
-            )
+            error = 2.0 if name == "default" or (estimator == "beem" and seed < 2) else 30.0
+            records.append(RunRecord(**key, **about, estimator=estimator, input=name, seed=seed, error_px=error))
     return Tables.from_records(records)
 
 
-def test_named_pairs_are_chosen_by_rule():
+def test_table1_says_who_succeeds_on_pairs_that_are_chosen_by_rule():
     assert page.named_pairs(evaluated().rankings, "f", (0.0, 0.5, 1.0)) == ["p1", "p0", "p2"]
-
-
-def test_table1_says_who_succeeds():
     made = page.table1_page(evaluated(), {"f": ["p0"]}, (0.5,), 10.0)
     rows = {row[0]: row[1:] for row in made.sections[1].blocks[0].rows}
     assert (rows["matches"], rows["right of the first 10"]) == (["100", "5,000", "5,000", "5,000"], ["9"] * 4)

@@ -150,12 +150,16 @@ def test_a_lost_scheduler_is_told_and_what_was_ready_is_kept(cluster, work, tmp_
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "tcp://127.0.0.1:port"])
-def test_an_address_without_a_scheduler_is_named(work, monkeypatch, address):
-    monkeypatch.setattr("epiprior_lab.compute.executors._CONNECT_SECONDS", 0.5)
+def test_an_address_without_a_scheduler_and_a_missing_package_are_named(work, monkeypatch, address):
+    monkeypatch.setattr("epiprior.collection.workers._SECONDS_TO_CONNECT", 0.5)
     monkeypatch.setenv("EPIPRIOR_SCHEDULER", address)
+    tasks, how = [Task(name="a", payload={"seconds": 0})], {"workers": 1, "description": "threads"}
     with pytest.raises(SettingsError, match=f"scheduler = '{address}': no dask scheduler answers"):
-        map_tasks(work.threads, [Task(name="a", payload={"seconds": 0})], workers=1, description="threads")
-    assert map_tasks(work.threads, [], workers=1, description="nothing") == []
+        map_tasks(work.threads, tasks, **how)
+    assert map_tasks(work.threads, [], **how) == []
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(SettingsError, match=r"epiprior\[cluster\]"):
+        map_tasks(work.threads, tasks, **how)
 
 
 def test_a_scheduler_without_workers_is_named(work, tmp_path, monkeypatch):
@@ -164,12 +168,6 @@ def test_a_scheduler_without_workers_is_named(work, tmp_path, monkeypatch):
         cluster.ensure(workers=0)
         with pytest.raises(SettingsError, match=r"no worker within 0\.2 s"):
             open_pool(workers=1, scheduler=cluster.address).__enter__()
-
-
-def test_a_missing_package_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(SettingsError, match=r"epiprior\[cluster\]"), open_pool(workers=1, scheduler="tcp://host:1"):
-        pass
 
 
 def test_a_worker_that_grew_is_replaced_without_a_word():

@@ -38,9 +38,6 @@ def reached(tmp_path):
 def test_imports_are_followed_through_packages_functions_relative_names_and_cycles(reached):
     everything = {name for name in FILES if name.startswith(("pack/", "other/"))}
     assert reached("pack/step.py") == everything - {"pack/idle.py", "other/idle.py"}
-
-
-def test_a_file_without_imports_reaches_its_packages_only(reached):
     assert reached("pack/sub/inner.py") >= {"pack/sub/__init__.py", "pack/__init__.py", "pack/base.py"}
     assert reached("other/idle.py") == {"other/idle.py", "other/__init__.py"}
 
@@ -55,8 +52,5 @@ def test_a_lazy_package_counts_whole_unless_a_module_of_it_is_named(reached):
 def test_a_file_outside_the_root_is_followed_into_it(reached, tmp_path, tmp_path_factory):
     script = tmp_path_factory.mktemp("elsewhere") / "script.py"
     script.write_text("from other import idle\n", encoding="utf-8")
-    assert source_files(script, tmp_path) == {
-        script,
-        tmp_path / "other" / "__init__.py",
-        tmp_path / "other" / "idle.py",
-    }
+    other = tmp_path / "other"
+    assert source_files(script, tmp_path) == {script, other / "__init__.py", other / "idle.py"}

@@ -10,7 +10,7 @@ from epiprior_lab.evaluation.compare import ALL, POSE, Rates, group_masks
 from synthetic_tables import APART, photograph_tables, study_tables
 
 
-def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs():
+def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs_and_runs_are_unique():
     tables = study_tables(pairs=4)
     rates = Rates(replace(tables, runs=tables.runs.sample(frac=1, random_state=1)))
     found = rates.of("usac", "default", 5.0)
@@ -22,6 +22,10 @@ def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs():
         assert rates.scenes[k] == f"{pair.group}/{pair.scene}"
     assert Rates(tables).estimators == ["usac", "prosac", "generalized-ransac", "epiprior"]
     assert Rates(tables).inputs("generalized-ransac") == ["generalized", "snn", "default"]
+    tables = study_tables(pairs=1)
+    double = replace(tables, runs=pd.concat([tables.runs, tables.runs.iloc[:1]]))
+    with pytest.raises(ValueError, match="duplicate"):
+        Rates(double).values("usac", "standard")
 
 
 def test_a_pair_without_runs_or_without_the_truth_is_a_failure():

@@ -40,23 +40,17 @@ def naive_distance(F, other, sizes, points, seed):
     return np.mean(totals)
 
 
-def test_distance_is_that_of_the_naive_twin():
+def test_distance_is_that_of_the_naive_twin_zero_for_the_same_and_symmetric():
     F, other = (fundamental_from_cameras(*two_cameras(t=t)) for t in ((-2.0, 0.3, 0.4), (-2.0, 0.6, 0.2)))
     found = symmetric_distance(F, other, SIZES, points=4000, seed=1)
     assert found == pytest.approx(naive_distance(F, other, SIZES, 3000, 2), rel=0.06)
     assert 0.01 < found < 0.5
-
-
-def test_distance_is_zero_only_for_the_same_and_symmetric_on_average():
     F, other = (fundamental_from_cameras(*two_cameras(angle=angle)) for angle in (15.0, 17.0))
     assert symmetric_distance(F, -3 * F, SIZES) < 1e-9
     there, back = symmetric_distance(F, other, SIZES, points=5000), symmetric_distance(other, F, SIZES, points=5000)
     assert there == pytest.approx(back, rel=0.05)
     assert symmetric_distance(F, other, SIZES, seed=3) == symmetric_distance(F, other, SIZES, seed=3)
-
-
-def test_lines_that_miss_the_image_leave_nothing_in_common():
-    # Every epipolar line of image 2 is y = -50: outside.
+    # Every epipolar line of image 2 is y = -50, outside: nothing in common.
     below = np.outer([0.0, 1.0, 50.0], [0.0, 0.0, 1.0])
     assert symmetric_distance(below, below, SIZES) == 1.0
 
@@ -66,8 +60,7 @@ def test_points_on_lines():
     x, met = points_on_lines(lines, (100, 80), np.array([0.0, 0.5, 0.5, 0.5, 0.5]))
     assert met.tolist() == [True, True, True, False, False]
     assert np.isnan(x[3:]).all()
-    inside = np.column_stack([x[:3], np.ones(3)])
-    np.testing.assert_allclose((lines[:3] * inside).sum(axis=1), 0, atol=1e-9)
+    np.testing.assert_allclose((lines[:3] * np.column_stack([x[:3], np.ones(3)])).sum(axis=1), 0, atol=1e-9)
     assert x[0, 1] in (0.0, 79.0)
     assert x[1, 0] == pytest.approx(49.5)
     np.testing.assert_allclose(x[2], [5, 5])
@@ -82,14 +75,9 @@ def test_pose_of_the_true_matrix_is_exact_and_of_others_off_by_what_they_are():
     rotation_deg, _ = pose_errors(fundamental_from_cameras(*turned), pair, *points_before(turned))
     assert rotation_deg == pytest.approx(6.0, abs=1e-4)
     t, moved = np.array([-2.0, 0.3, 0.4]), np.array([-2.0, 1.3, 0.4])
-    _, translation_deg = pose_errors(
-        fundamental_from_cameras(*two_cameras(t=moved)), pair, *points_before(two_cameras(t=moved))
-    )
+    other = two_cameras(t=moved)
+    _, translation_deg = pose_errors(fundamental_from_cameras(*other), pair, *points_before(other))
     cosine = t @ moved / np.linalg.norm(t) / np.linalg.norm(moved)
     assert translation_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=1e-4)
-
-
-def test_pose_without_baseline_has_no_translation():
-    pair = two_cameras(t=(0.0, 0.0, 0.0))
     F = normalise_fundamental(np.array([[0, -1, 0.1], [1, 0, 0.2], [0.3, 0.1, 0]]))
-    assert np.isnan(pose_errors(F, pair, *points_before(two_cameras()))[1])
+    assert np.isnan(pose_errors(F, two_cameras(t=(0.0, 0.0, 0.0)), *points)[1])  # no baseline, no translation

@@ -1,11 +1,13 @@
 """Evaluation of pairs: runs of every estimator, input and seed, every measure that the truth allows, resuming."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+from calls import note_calls
 from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.estimators.run import best_fundamental, estimate_from_matches
 from epiprior.features.detect import FeatureSettings
@@ -71,27 +73,18 @@ def test_runs_of_a_pair(pairs, protocol, tmp_path):
 
 def test_only_what_changed_is_computed_again(pairs, protocol, tmp_path, monkeypatch):
     evaluate(pairs[:1], protocol, group="relief", store=tmp_path)
-    calls = []
-
-    def counted(sets, *, estimator, hand_over, **other):
-        calls.append((estimator, hand_over.threshold_px))
-        return estimate_from_matches(sets, estimator=estimator, hand_over=hand_over, **other)
-
-    monkeypatch.setattr(runs, "estimate_from_matches", counted)
+    calls = note_calls(monkeypatch, runs, "estimate_from_matches")
     monkeypatch.setattr(inputs, "detect_pair", None)  # nothing is matched again
     hand_overs = {**protocol.hand_overs, "usac": {**protocol.hand_overs["usac"], "snn": HandOver(threshold_px=2.5)}}
     evaluate(pairs[:1], replace(protocol, hand_overs=hand_overs), group="relief", store=tmp_path)
-    assert ({estimator for estimator, _ in calls}, len(calls)) == ({"usac"}, 3 * len(SEEDS))
+    assert ({how["estimator"] for _, how in calls}, len(calls)) == ({"usac"}, 3 * len(SEEDS))
     calls.clear()
     unused = {**hand_overs, "magsac++": {**hand_overs["magsac++"], "snn": HandOver(threshold_px=2.5)}}
     evaluate(pairs[:1], replace(protocol, hand_overs=unused), group="relief", store=tmp_path)
     assert not calls
 
 
-def test_a_deterministic_estimator_runs_once(pairs, monkeypatch):
-    class Fixed:
-        deterministic = True
-
+def test_a_deterministic_estimator_runs_once(monkeypatch):
     asked = []
 
     def run(sets, *, estimator, seed, **_):
@@ -100,12 +93,11 @@ def test_a_deterministic_estimator_runs_once(pairs, monkeypatch):
 
     matches = inputs.PairMatches(sets={"standard": (), "snn": ()}, pixel_factors=(1.0, 1.0))
     how = {"estimator": "usac", "seeds": SEEDS, "hand_overs": dict.fromkeys(matches.sets, HandOver())}
-    assert list(runs.each_run(run, matches, "p", **how)) == [
-        ("standard", 0, 1), ("standard", 1, 2), ("snn", 0, 3), ("snn", 1, 4),
-    ]  # fmt: skip
+    found = list(runs.each_run(run, matches, "p", **how))
+    assert found == [("standard", 0, 1), ("standard", 1, 2), ("snn", 0, 3), ("snn", 1, 4)]
     assert asked == [child_seed(0, "p"), child_seed(1, "p")] * 2  # the same for every input
     asked.clear()
-    monkeypatch.setattr(runs, "find_estimator", lambda name: Fixed())
+    monkeypatch.setattr(runs, "find_estimator", lambda name: SimpleNamespace(deterministic=True))
     assert [found for *_, found in runs.each_run(run, matches, "p", **how)] == [1, 1, 2, 2]
     assert len(asked) == 2
 
@@ -123,10 +115,8 @@ def test_an_estimate_is_measured_whatever_its_status(tmp_path):
     cameras = two_cameras()
     F, (x1, x2), pair = fundamental_from_cameras(*cameras), points_before(cameras), camera_pair(tmp_path, cameras)
     truth = Truth(labels="depth", points="cameras", x1=x1, x2=x2, F=F)
-    turned_down = FundamentalEstimate(
-        status=Status.DEGENERATE, F=F, x1=x1, x2=x2, inliers=np.zeros(60, np.bool_), support=0,
-        estimator="usac",
-    )  # fmt: skip
+    known = {"F": F, "x1": x1, "x2": x2, "inliers": np.zeros(60, np.bool_), "support": 0}
+    turned_down = FundamentalEstimate(status=Status.DEGENERATE, estimator="usac", **known)
     key = {"group": "g", "estimator": "usac", "input": "snn", "seed": 0, "threshold_px": 1.5}
     measures = MeasureSettings(seed=1, distance_points=50)
     record = runs.run_record(turned_down, pair, truth, measures, **key)
@@ -168,10 +158,9 @@ def test_the_protocol_of_a_parameter_file(pairs, relief, monkeypatch):
     assert protocol.hand_overs["usac"]["snn"] == protocol.hand_overs["usac"]["gms"] == HandOver()  # whole
     assert protocol.hand_overs["usac"]["default"] == load_hand_overs()["usac"]["default"] != HandOver()
     assert "aliked" not in protocol.inputs["beem"]
-    assert protocol.all_inputs == (*protocol.inputs["usac"], "generalized")
+    assert protocol.all_inputs == (*protocol.inputs["usac"], "fast", "generalized")
     assert protocol.truth.one_plane == params.truth.one_plane
     assert protocol.measures.distance_points == params.measures.distance_points
-    own = replace(
-        params.evaluate, groups=("relief",), pairs=f"{relief.parent}/{{group}}", control_points=None, apart=None
-    )
+    folders = {"pairs": f"{relief.parent}/{{group}}", "control_points": None}
+    own = replace(params.evaluate, groups=("relief",), apart=None, **folders)
     assert [pair.pair_id for pair in pairs_of(own, "relief")] == [pair.pair_id for pair in pairs]

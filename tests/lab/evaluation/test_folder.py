@@ -1,5 +1,6 @@
 """Pair sets of one's own, and links to those of the benchmark."""
 
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -18,23 +19,40 @@ def datasets(relief):
     return relief.parent
 
 
-def test_find_sets_names_what_is_missing(datasets, tmp_path):
-    assert own.find_sets(datasets) == [datasets / "relief"]
-    assert own.find_sets(datasets / "relief") == [datasets / "relief"]
+def test_sets_are_found_and_linked(datasets, tmp_path):
+    assert own.find_sets(datasets) == own.find_sets(datasets / "relief") == [datasets / "relief"]
     with pytest.raises(SettingsError, match="'strecha'"):
         own.find_sets(datasets, ["relief", "strecha"])
     with pytest.raises(SettingsError, match=r"pairs\.csv"):
         own.find_sets(tmp_path / "nowhere")
+    folder = tmp_path / "data" / "real"
+    with pytest.raises(SettingsError, match="make real DATA=FOLDER"):
+        link_sets(("relief",), None, folder)
+    assert link_sets(("relief",), datasets, folder) == [folder / "relief"]
+    assert (folder / "relief").is_symlink()
+    assert not (folder / "relief").readlink().is_absolute()
+    assert link_sets(("relief",), datasets, folder) == link_sets(("relief",), None, folder)
+    own_set = folder / "mine"
+    own_set.mkdir()
+    (own_set / "pairs.csv").touch()
+    assert link_sets(("mine", "relief"), datasets, folder)[0] == own_set  # a set that lies there stays
+    for names, source, message in (  # links that are there are not taken in silence
+        (("relief", "absent"), datasets, "no pair set absent in"),
+        (("relief",), tmp_path / "datasetz", r"datasetz: no such folder"),
+        (("relief",), tmp_path, "holds no pair set of relief"),
+    ):
+        with pytest.raises(SettingsError, match=message):
+            link_sets(names, source, folder)
+    assert link_sets(("relief",), folder, folder) == [folder / "relief"]  # no link to itself
+    assert (folder / "relief").resolve() == (datasets / "relief").resolve()
 
 
 def test_a_folder_is_evaluated(datasets, model_folder, tiny_model, tmp_path, monkeypatch):
     monkeypatch.setattr(own, "find_model", lambda name: model_folder)
     monkeypatch.setenv("EPIPRIOR_WORKERS", "1")
-    console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
-    tables = own.evaluate_folder(
-        datasets, seeds=2, estimators=("usac",), out=tmp_path / "out", store=tmp_path / "store", console=console
-    )
-    console.file.close()
+    console = Console(record=True, width=100, file=io.StringIO())
+    where = {"out": tmp_path / "out", "store": tmp_path / "store", "console": console}
+    tables = own.evaluate_folder(datasets, seeds=2, estimators=("usac",), **where)
     text = console.export_text()
     assert "relief, 2 pairs" in text
     assert "all sets" not in text
@@ -59,28 +77,4 @@ def test_the_summary_counts_failures():
     columns = ["pairs", "successes_10", "successes_3", "scene_share", "precision_100"]
     counts = [8, right.sum() / 3, (runs["error_px"] < 3).sum() / 3]
     assert found[columns].tolist() == pytest.approx([*counts, by_scene.mean(), final["right_100"].mean() / 100])
-    unlabelled = replace(tables, rankings=tables.rankings[:0])
-    assert np.isnan(own.summarise(unlabelled)["precision_100"]).all()
-
-
-def test_links_to_sets(datasets, tmp_path):
-    folder = tmp_path / "data" / "real"
-    with pytest.raises(SettingsError, match="make real DATA=FOLDER"):
-        link_sets(("relief",), None, folder)
-    assert link_sets(("relief",), datasets, folder) == [folder / "relief"]
-    assert (folder / "relief").is_symlink()
-    assert not (folder / "relief").readlink().is_absolute()
-    assert link_sets(("relief",), datasets, folder) == link_sets(("relief",), None, folder)
-    own_set = folder / "mine"
-    own_set.mkdir()
-    (own_set / "pairs.csv").touch()
-    assert link_sets(("mine", "relief"), datasets, folder)[0] == own_set  # a set that lies there stays
-    for names, source, message in (  # links that are there are not taken in silence
-        (("relief", "absent"), datasets, "no pair set absent in"),
-        (("relief",), tmp_path / "datasetz", r"datasetz: no such folder"),
-        (("relief",), tmp_path, "holds no pair set of relief"),
-    ):
-        with pytest.raises(SettingsError, match=message):
-            link_sets(names, source, folder)
-    assert link_sets(("relief",), folder, folder) == [folder / "relief"]  # no link to itself
-    assert (folder / "relief").resolve() == (datasets / "relief").resolve()
+    assert np.isnan(own.summarise(replace(tables, rankings=tables.rankings[:0]))["precision_100"]).all()

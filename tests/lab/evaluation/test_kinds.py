@@ -13,23 +13,20 @@ from pictures import texture
 
 
 def pair(scene, number):
-    return SimpleNamespace(
-        pair_id=f"{scene}-{number}", scene=scene, image1=f"{scene}{number}a", image2=f"{scene}{number}b"
-    )
+    name = f"{scene}{number}"
+    return SimpleNamespace(pair_id=name, scene=scene, image1=f"{name}a", image2=f"{name}b")
 
 
 SETS = {"x": [pair("p", 0), pair("p", 1), pair("q", 0)], "y": [pair("r", 0)]}
 
 
-def test_places_are_scenes_or_whole_sets():
+def test_pairs_of_places_are_planned_once_and_the_same_every_time():
     assert {name: len(pairs) for name, pairs in places_of(SETS, by_scene=True).items()} == {"p": 2, "q": 1, "r": 1}
     assert {name: len(pairs) for name, pairs in places_of(SETS, by_scene=False).items()} == {"x": 3, "y": 1}
-
-
-def test_pairs_are_planned_once_and_the_same_every_time():
     places = places_of(SETS, by_scene=True)
-    planned = plan_cases(places, {"pair": 9, "unrelated": 12, "copy": 5, "doppelganger": 2}, block="b", seed=3)
-    assert planned == plan_cases(places, {"pair": 9, "unrelated": 12, "copy": 5, "doppelganger": 2}, block="b", seed=3)
+    counts = {"pair": 9, "unrelated": 12, "copy": 5, "doppelganger": 2}
+    planned, again = (plan_cases(places, counts, block="b", seed=3) for _ in range(2))
+    assert planned == again
     by_kind = {kind: [case for case in planned if case.kind == kind] for kind in ("pair", "unrelated", "copy")}
     assert len(by_kind["pair"]) == len({case.pair.pair_id for case in by_kind["pair"]}) == 4  # there are no more
     assert len({frozenset(case.images) for case in by_kind["unrelated"]}) == 12
@@ -40,22 +37,22 @@ def test_pairs_are_planned_once_and_the_same_every_time():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_views_are_made_of_what_the_kind_says(kind):
-    pictures = tuple(np.repeat(texture(320, 240, seed)[:, :, None], 3, axis=2) for seed in (1, 2))
-    views = make_views(kind, pictures, seed=5)
-    for mine, again in zip(views, make_views(kind, pictures, seed=5), strict=True):
+    pictures = [np.repeat(texture(320, 240, seed)[:, :, None], 3, axis=2) for seed in (1, 2)]
+    # Copies: letters are written into pictures that need no other size.
+    views, second = (make_views(kind, tuple(picture.copy() for picture in pictures), seed=5) for _ in range(2))
+    for mine, again in zip(views, second, strict=True):
         assert mine.dtype == np.uint8
         np.testing.assert_array_equal(mine, again)
     if kind in ("unrelated", "copy"):
         np.testing.assert_array_equal(views[0], pictures[0])
-    changed = (
-        [np.mean(view != picture) for view, picture in zip(views, pictures, strict=True)] if kind == "overlay" else []
-    )
-    assert all(0.001 < share < 0.7 for share in changed)
+    if kind == "overlay":
+        assert all(0.001 < np.mean(view != given) < 0.7 for view, given in zip(views, pictures, strict=True))
     if kind in ("plane", "rotation"):
         assert views[0].shape == views[1].shape == (600, 800, 3)
         assert np.mean(views[0] == views[1]) < 0.5
 
 
+@pytest.mark.filterwarnings("ignore:create.. is deprecated:DeprecationWarning")  # of pycolmap 4.2
 def test_a_true_pair_has_an_error_and_no_other_kind(pairs, tiny_model):
     how = {"inputs": {"magsac++": ("snn",)}, "hand_overs": {"magsac++": {"snn": HandOver()}}, "truth": TruthSettings()}
     true = KindCase(name="t", block="b", kind="pair", seed=0, pair=pairs[0])
@@ -64,5 +61,4 @@ def test_a_true_pair_has_an_error_and_no_other_kind(pairs, tiny_model):
     assert [(r.kind, r.estimator) for r in found] == [(k, e) for k in ("pair", "copy") for e in ("magsac++", COLMAP)]
     assert found[0].error_px < 3
     assert all(np.isnan(record.error_px) for record in found[2:])
-    assert found[2].status != "ok"
-    assert found[2].geometry == "identical"
+    assert (found[2].status, found[2].geometry) == ("degenerate", "identical")

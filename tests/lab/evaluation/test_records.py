@@ -32,7 +32,7 @@ def test_names_stay_text_and_what_is_not_known_is_empty(tmp_path):
     assert Tables.read([tmp_path]).runs["iterations"].dtype == "Int64"
 
 
-def test_a_table_without_rows_keeps_its_columns_and_others_their_types(tmp_path):
+def test_tables_keep_columns_types_and_seven_digits_and_damaged_ones_are_named(tmp_path):
     write_frame(records.to_frame(records.CalibrationRecord, []), tmp_path / "calibration.csv")
     assert len(read_frame(records.CalibrationRecord, tmp_path / "calibration.csv")) == 0
     timings = timing_table(study_tables(pairs=2))
@@ -42,9 +42,6 @@ def test_a_table_without_rows_keeps_its_columns_and_others_their_types(tmp_path)
     assert again["preprocessed"].dtype == bool
     columns = records.column_types(RECORDS["rankings"])
     assert [name for name in columns if name.startswith("right_")] == [f"right_{rank}" for rank in RANKS]
-
-
-def test_a_damaged_table_is_named(tmp_path):
     path, table = tmp_path / "pairs.csv", study_tables(pairs=1).pairs
     for damaged, message in (
         (None, "cannot be read"),
@@ -55,8 +52,5 @@ def test_a_damaged_table_is_named(tmp_path):
             write_frame(damaged, path)
         with pytest.raises(records.TableError, match=rf"pairs\.csv: {message}"):
             read_frame(PairRecord, path)
-
-
-def test_numbers_have_seven_digits(tmp_path):
     write_frame(pd.DataFrame({"a": [np.pi, np.nan], "b": ["x", "y"]}), tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_bytes() == b"a,b\n3.141593,x\n,y\n"

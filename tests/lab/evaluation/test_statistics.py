@@ -23,16 +23,13 @@ def test_contribution_is_the_papers_and_over_no_success_infinite():
     assert not math.isnan(got.contribution.low)
 
 
-def test_weights_by_pair_are_multinomial():
+def test_weights_are_multinomial_by_pair_and_draw_whole_scenes():
     weights = st.bootstrap_weights(6, draws=4000, seed=1)
     counts = weights * 6
     np.testing.assert_allclose(counts, np.rint(counts), atol=1e-9)
     np.testing.assert_allclose(weights.sum(axis=1), 1)
     np.testing.assert_allclose(counts.mean(axis=0), 1, atol=0.06)
     np.testing.assert_allclose(counts.var(axis=0), 5 / 6, atol=0.08)
-
-
-def test_weights_by_scene_draw_whole_scenes():
     weights = st.bootstrap_weights(6, draws=300, seed=2, groups=["b", "a", "b", "c", "c", "c"])
     for row in weights:
         assert row[0] == row[2]
@@ -78,7 +75,7 @@ def test_bad_input_names_the_culprit(call, culprit):
         call()
 
 
-def test_success_curve(rng):
+def test_success_curve_and_the_area_below_it(rng):
     errors = rng.exponential(5, (30, 4))
     errors[3, 2], errors[4, 0] = np.nan, np.inf
     thresholds = np.array([0.5, 3, 10, 1e9])
@@ -89,9 +86,6 @@ def test_success_curve(rng):
         assert d == pytest.approx(math.sqrt(sum((c - m) ** 2 for c in counts) / 3))
     assert mean[-1] == pytest.approx((30 * 4 - 2) / 4)
     np.testing.assert_array_equal(st.success_curve(errors[:, :1], thresholds)[1], 0)
-
-
-def test_area_is_the_integral_of_the_curve(rng):
     errors = np.append(rng.exponential(6, 40), [np.inf, np.nan])
     grid = (np.arange(20_000) + 0.5) / 2000
     naive = np.mean([(errors < t).mean() for t in grid])

@@ -8,13 +8,13 @@ from epiprior.geometry import sampson_distance
 from epiprior_lab.evaluation import truth as known
 from epiprior_lab.evaluation.truth import TruthSettings, evaluation_points, on_one_plane, pair_truth
 from epiprior_lab.labels.ground_truth import LabelSettings
-from epiprior_lab.pairsets import DatasetError, read_pair_set
+from epiprior_lab.pairsets import DatasetError, read_pair_set, write_control_points
 from epiprior_lab.params import TruthParams
 from synthetic import HEIGHT, WIDTH
 from worlds import camera_pair, two_cameras
 
 
-def test_points_of_a_pair_with_cameras_only(tmp_path):
+def test_points_of_a_pair_with_cameras_only_which_need_two_centres(tmp_path):
     pair = camera_pair(tmp_path, two_cameras())
     x1, x2 = evaluation_points(pair)
     assert len(x1) == len(x2) > 80
@@ -27,9 +27,6 @@ def test_points_of_a_pair_with_cameras_only(tmp_path):
     truth = pair_truth(pair, TruthSettings())
     assert (truth.labels, truth.points) == ("epipolar", "cameras")
     np.testing.assert_allclose(truth.F, pair.fundamental())
-
-
-def test_cameras_with_one_centre_and_a_pair_without_any_truth_are_refused(tmp_path):
     for cameras in (two_cameras((0.0, 0.0, 0.0)), (None, None)):
         with pytest.raises(DatasetError, match="'p'"):
             evaluation_points(camera_pair(tmp_path, cameras))
@@ -46,13 +43,9 @@ def test_an_f_is_fitted_to_control_points_unless_they_lie_on_a_plane(pairs, reli
     (tmp_path / "pairs.csv").write_bytes((relief / "pairs.csv").read_bytes())
     x = np.random.default_rng(1).uniform(20, 300, (30, 2))
     for name in ("relief-0", "blank-0"):
-        np.savetxt(tmp_path / "control_points" / f"{name}.csv", np.hstack([x, x + [20, 0]]), delimiter=",",
-                   header="x1,y1,x2,y2", comments="")  # fmt: skip
+        write_control_points(tmp_path / "control_points" / f"{name}.csv", x, x + [20.0, 0.0])
     flat = pair_truth(read_pair_set(tmp_path).pairs[0], TruthSettings())
     assert (flat.labels, flat.F) == ("", None)
-
-
-def test_control_points_on_a_plane_decide_nothing():
     rng = np.random.default_rng(0)
     x1 = rng.uniform(0, 500, (40, 2))
     x2 = x1 @ np.array([[0.9, 0.1], [-0.1, 1.1]]) + [20, -10] + rng.normal(0, 0.5, (40, 2))
@@ -65,15 +58,12 @@ def test_control_points_on_a_plane_decide_nothing():
     assert not on_one_plane(x1, beside, 4.0)
 
 
-def test_difficulty_follows_the_share_of_right_matches():
+def test_difficulty_and_the_settings_of_a_parameter_file():
     settings = TruthSettings(easy_share=0.5, hard_share=0.2)
     found = [settings.difficulty(share) for share in (0.51, 0.5, 0.2, 0.19, np.nan)]
     assert found == ["easy", "medium", "medium", "hard", ""]
     with pytest.raises(SettingsError, match="hard_share"):
         TruthSettings(easy_share=0.2, hard_share=0.5)
-
-
-def test_settings_of_a_parameter_file():
     labels = {"tolerance_px": 2.0, "tolerance_sigma": 0.25, "depth_tolerance": 0.03, "epipolar_px": 1.5}
     own = {"plane_px": 4.0, "easy_share": 0.6, "hard_share": 0.1}
     found = known.truth_settings(TruthParams(**labels, **own, one_plane=None))

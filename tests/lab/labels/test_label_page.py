@@ -26,6 +26,7 @@ DOTS = {
     (0, 0, 255): ((331, 400), (260, 277)),
     (255, 0, 255): ((2, 237), (341, 217)),
 }
+RED, GREEN, BLUE, PINK = DOTS
 
 
 @pytest.fixture(scope="module")
@@ -132,6 +133,11 @@ class Hand:
         self.browser.key("s", "Ctrl")
         self.browser.wait(SAVED)
 
+    def press_save_in_vain(self, message):
+        self.browser.press("#save")
+        self.browser.wait("!document.querySelector('#message').hidden")
+        assert message in self.browser.text("#message span")
+
 
 @pytest.fixture
 def hand(browser):
@@ -151,25 +157,24 @@ def test_clicks_at_different_zooms_become_a_control_point_file(browser, hand, se
     server = serve()
     browser.resize(1300, 700, ratio)
     browser.open(server.url, READY)
-    red, green, blue, pink = DOTS
     assert browser.text("#hint").startswith("Click a point in either image")
     assert browser.text("#pane1 h2") == "1 1.png  ·  640 × 480"
-    sizes = [hand.pair(red)]  # whole images, less than their own size
+    sizes = [hand.pair(RED)]  # whole images, less than their own size
     assert hand.scale(0) < 1
-    hand.zoom(green, 0, 4)
-    hand.zoom(green, 1, 3)
-    sizes.append(hand.pair(green))
+    hand.zoom(GREEN, 0, 4)
+    hand.zoom(GREEN, 1, 3)
+    sizes.append(hand.pair(GREEN))
     browser.drag((300, 350), (340, 320))  # the image moves along, and so do markers
-    hand.zoom(green, 0, 8)
-    hand.pair(green)  # selects the pair that is there: nothing new
+    hand.zoom(GREEN, 0, 8)
+    hand.pair(GREEN)  # selects the pair that is there: nothing new
     assert len(hand.rows()) == 2
     browser.press("#fit")
-    hand.zoom(blue, 0, 16)
-    hand.zoom(blue, 1, 20)
-    sizes.append(hand.pair(blue))
+    hand.zoom(BLUE, 0, 16)
+    hand.zoom(BLUE, 1, 20)
+    sizes.append(hand.pair(BLUE))
     browser.press("#fit")
-    hand.zoom(pink, 1, 10)
-    sizes.append(hand.pair(pink))  # one image close, the other whole
+    hand.zoom(PINK, 1, 10)
+    sizes.append(hand.pair(PINK))  # one image close, the other whole
     for count in (3, 2):
         browser.key("z", "Ctrl")  # the partner of the pink point, then the point itself
         browser.key("z", "Ctrl")
@@ -182,7 +187,7 @@ def test_clicks_at_different_zooms_become_a_control_point_file(browser, hand, se
     hand.save()
     found = points(tmp_path / "points.csv")
     assert found.shape == (4, 4)
-    errors = np.abs(found - dots(red, green, blue, pink))
+    errors = np.abs(found - dots(RED, GREEN, BLUE, PINK))
     assert (errors < np.repeat(sizes, 2, axis=1)).all(), (errors, sizes)
     assert errors[2].max() < 0.1  # close up, far less than the half pixel between two conventions
     server.session.checked(found.tolist())
@@ -196,17 +201,16 @@ def test_clicks_at_different_zooms_become_a_control_point_file(browser, hand, se
 
 def test_a_point_without_partner_can_be_moved_dropped_and_is_not_saved(browser, hand, serve, tmp_path):
     browser.open(serve().url, READY)
-    red, green, blue, _ = DOTS
-    hand.click(hand.find(red, 1))
+    hand.click(hand.find(RED, 1))
     assert "in the first image" in browser.text("#hint")
     assert browser.run("document.querySelector('#pane1').classList.contains('wanted')")
-    hand.click(hand.find(green, 1))  # another thought: the same image again
-    hand.click(hand.find(green, 0))
-    hand.click(hand.find(blue, 0))
+    hand.click(hand.find(GREEN, 1))  # another thought: the same image again
+    hand.click(hand.find(GREEN, 0))
+    hand.click(hand.find(BLUE, 0))
     browser.key("Escape")
-    hand.click(hand.find(red, 0))
+    hand.click(hand.find(RED, 0))
     hand.save()
-    np.testing.assert_allclose(points(tmp_path / "points.csv"), dots(green), atol=1.2)
+    np.testing.assert_allclose(points(tmp_path / "points.csv"), dots(GREEN), atol=1.2)
     left, top, *_ = hand.pane(0)
     browser.key("Escape")
     browser.click(left + 3, top + 3)  # beside the image
@@ -216,29 +220,27 @@ def test_a_point_without_partner_can_be_moved_dropped_and_is_not_saved(browser, 
 
 def test_markers_are_moved_nudged_deleted_and_renumbered(browser, hand, serve, tmp_path):
     browser.open(serve().url, READY)
-    red, green, blue, _ = DOTS
-    for colour in (red, green, blue):
+    for colour in (RED, GREEN, BLUE):
         hand.pair(colour)
-    start = hand.find(green, 0)
+    start = hand.find(GREEN, 0)
     browser.drag(start, (start[0] + 40, start[1] + 20))
     hand.save()
     moved = points(tmp_path / "points.csv")
-    shift = np.array([40, 20, 0, 0]) / hand.scale(0)
-    np.testing.assert_allclose(moved[1], (dots(green) + shift)[0], atol=1.2)
+    np.testing.assert_allclose(moved[1], (dots(GREEN) + np.array([40, 20, 0, 0]) / hand.scale(0))[0], atol=1.2)
     browser.key("z", "Ctrl")  # a drag is one step
     browser.press("#list li:nth-child(2)")  # both images are centred on the pair, at least twice their size
-    for side, place in enumerate(DOTS[green]):
+    for side, place in enumerate(DOTS[GREEN]):
         left, top, width, height = hand.pane(side)
-        seen = hand.find(green, side)
+        seen = hand.find(GREEN, side)
         assert np.hypot(seen[0] - left - width / 2, seen[1] - top - height / 2) < 4, place
     assert hand.scale(0) == 2
-    browser.move(*hand.find(green, 1))
+    browser.move(*hand.find(GREEN, 1))
     for _ in range(3):
         browser.key("ArrowRight")
     browser.key("ArrowUp", "Shift")
     hand.save()
     nudged = points(tmp_path / "points.csv")
-    np.testing.assert_allclose(nudged[1, 2:], DOTS[green][1] + np.array([1.5, -5]), atol=1.2)
+    np.testing.assert_allclose(nudged[1, 2:], DOTS[GREEN][1] + np.array([1.5, -5]), atol=1.2)
     browser.key("Delete")
     assert [row[0] for row in hand.rows()] == ["1", "2"]
     hand.save()
@@ -255,10 +257,10 @@ def test_a_file_is_continued_and_leaving_unsaved_work_asks(browser, hand, serve,
     url = serve().url
     browser.open(url, READY)
     assert (hand.rows(), browser.text("#saved")) == ([["1", "10.5, 20.330.1, 40.0", ""]], "saved")
-    hand.pair(next(iter(DOTS)))
+    hand.pair(RED)
     browser.open(url, READY)
     assert (browser.questions, len(hand.rows())) == (["beforeunload"], 1)
-    hand.pair(next(iter(DOTS)))
+    hand.pair(RED)
     hand.save()
     assert points(tmp_path / "points.csv")[0].tolist() == [10.5, 20.25, 30.125, 40.0]
     browser.open(url, READY)
@@ -291,8 +293,7 @@ def test_a_wrong_point_is_marked_and_its_epipolar_line_drawn(browser, hand, serv
         alike = (np.abs(inside - (60, 200, 150)) < 60).all(axis=2)
         scale = hand.scale(side)
         image_height = (480, 320)[side]
-        found = np.flatnonzero(alike.mean(axis=1) > 0.8)
-        return (found + 0.5 - (height - image_height * scale) / 2) / scale - 0.5
+        return (np.flatnonzero(alike.mean(axis=1) > 0.8) + 0.5 - (height - image_height * scale) / 2) / scale - 0.5
 
     browser.move(700, 10)
     assert len(line(0)) == len(line(1)) == 0
@@ -311,22 +312,16 @@ def test_a_wrong_point_is_marked_and_its_epipolar_line_drawn(browser, hand, serv
 
 def test_a_file_that_changed_meanwhile_is_a_question(browser, hand, serve, tmp_path):
     browser.open(serve().url, READY)
-    red, green, *_ = DOTS
-    hand.pair(red)
-    (tmp_path / "points.csv").write_text("x1,y1,x2,y2\n1,2,3,4\n")
-    browser.press("#save")
-    browser.wait("!document.querySelector('#message').hidden")
-    assert "changed by somebody else" in browser.text("#message span")
-    browser.press("#message button:nth-child(2)")  # load that file instead
-    browser.wait(SAVED)
-    assert (len(hand.rows()), points(tmp_path / "points.csv").tolist()) == (1, [[1, 2, 3, 4]])
-    hand.pair(green)
-    (tmp_path / "points.csv").write_text("x1,y1,x2,y2\n")
-    browser.press("#save")
-    browser.wait("!document.querySelector('#message').hidden")
-    browser.press("#message button:first-child")  # save mine all the same
-    browser.wait(SAVED)
-    assert len(points(tmp_path / "points.csv")) == 2
+    for colour, text, button, count in (
+        (RED, "1,2,3,4\n", "nth-child(2)", 1),  # load that file instead
+        (GREEN, "", "first-child", 2),  # save mine all the same
+    ):
+        hand.pair(colour)
+        (tmp_path / "points.csv").write_text(f"x1,y1,x2,y2\n{text}")
+        hand.press_save_in_vain("changed by somebody else")
+        browser.press(f"#message button:{button}")
+        browser.wait(SAVED)
+        assert len(hand.rows()) == len(points(tmp_path / "points.csv")) == count
     assert all("409" in error for error in browser.errors)
     browser.errors.clear()
 
@@ -334,12 +329,10 @@ def test_a_file_that_changed_meanwhile_is_a_question(browser, hand, serve, tmp_p
 def test_a_server_that_is_gone_is_said(browser, hand, serve):
     server = serve()
     browser.open(server.url, READY)
-    hand.pair(next(iter(DOTS)))
+    hand.pair(RED)
     server.shutdown()
     server.thread.join(5)
     server.__exit__()
-    browser.press("#save")
-    browser.wait("!document.querySelector('#message').hidden")
-    assert "The server does not answer" in browser.text("#message span")
+    hand.press_save_in_vain("The server does not answer")
     assert browser.text("#saved") == "not saved"
     browser.errors.clear()

@@ -38,7 +38,7 @@ def bound(measure, group="hard", **values):
     return Bound(pipeline="photographs", measure=measure, group=group, threshold_px=10.0, **values)
 
 
-def test_a_contribution_is_met_by_its_value(photographs):
+def test_a_contribution_is_met_by_its_value_and_not_without_pairs(photographs):
     wanted = bound("contribution", estimator="usac", against="baseline", at_least=0.6)
     row, words = one(photographs.results, wanted, successes=successes(usac=0.6 - 1e-12))
     assert row["met"]
@@ -48,9 +48,13 @@ def test_a_contribution_is_met_by_its_value(photographs):
     assert not one(photographs.results, wanted, successes=successes(usac=0.59))[0]["met"]
     with pytest.raises(ReportError, match="no results of usac on hard"):
         one(photographs.results, wanted, successes=successes(beem=0.6))
+    wanted = bound("contribution", group="open", estimator="usac", at_least=0.1)
+    row, words = one(photographs.results, wanted, successes=successes(usac=1.0))
+    assert not row["met"]
+    assert words[1:] == ["no such pair", "no"]
 
 
-def test_every_estimator_has_to_keep_to_a_bound(photographs):
+def test_every_estimator_has_to_keep_to_a_bound_and_a_duel_is_met_by_intervals(photographs):
     wanted = bound("contribution", estimator="every", against="baseline", at_least=-0.01)
     row, words = one(photographs.results, wanted, successes=successes(usac=-0.01, beem=0.2))
     assert row[["met", "kept", "of"]].tolist() == [True, 2, 2]
@@ -58,9 +62,6 @@ def test_every_estimator_has_to_keep_to_a_bound(photographs):
     assert row[["met", "kept", "of", "estimator"]].tolist() == [False, 1, 2, "usac"]
     assert words[0] == "no estimator loses more than 1 %: hard pairs, 10 px"
     assert words[1] == "1 of 2 keep to it; lowest is usac: -1.3 % [-101.3 %, +98.7 %]"
-
-
-def test_a_duel_is_met_by_intervals(photographs):
     wanted = bound("difference", estimator="epiprior", against="every", at_least=0.0)
     row, words = one(photographs.results, wanted, duels=duels(0.5, 0.1))
     assert row[["met", "kept", "against", "possible"]].tolist() == [True, 2, "r1", 8.0]
@@ -80,13 +81,6 @@ def test_the_best_peer_is_chosen_in_hindsight(photographs, photograph_report):
     assert row["met"]
     assert row["low"] <= row["found"] <= row["high"]
     assert f"over {row['against']}" in words[1]
-
-
-def test_a_group_without_pairs_is_not_met(photographs):
-    wanted = bound("contribution", group="open", estimator="usac", at_least=0.1)
-    row, words = one(photographs.results, wanted, successes=successes(usac=1.0))
-    assert not row["met"]
-    assert words[1:] == ["no such pair", "no"]
 
 
 def test_the_bounds_of_the_repository_are_judged(photograph_report):

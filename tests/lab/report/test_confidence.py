@@ -37,7 +37,7 @@ def test_the_score_tells_right_from_wrong_and_unrelated():
     assert row["calibration_error"] == pytest.approx((0.155 + 0.245 + 0.145) / 3, abs=1e-9)
 
 
-def test_kinds_are_counted_by_verdict():
+def test_kinds_are_counted_by_verdict_and_drawn(tmp_path):
     kinds = made_up(0.8, 0.2, 0.1, told="identical")
     assert labelled(kinds, 10.0)["kind"].value_counts().to_dict() == dict.fromkeys(
         ("right", "wrong", "unrelated", "plane"), 10
@@ -48,8 +48,5 @@ def test_kinds_are_counted_by_verdict():
     page = kind_rows(kind_table(kinds, 10.0))
     assert list(page.head) == ["estimator", "input", "right", "wrong", "unrelated", "plane"]
     assert page.rows[0][2] == "100 % / 0 % of 10"
-
-
-def test_the_figure_is_drawn(tmp_path):
     confidence_figure(made_up(0.8, 0.2, 0.1), 10.0, tmp_path / "confidence.png")
     assert (tmp_path / "confidence.png").read_bytes().startswith(b"\x89PNG")

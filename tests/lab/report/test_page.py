@@ -36,14 +36,10 @@ def test_html_is_whole_and_escaped():
     assert "Only prose" not in text
 
 
-def test_long_prose_is_wrapped_and_lists_stay_lists():
-    text = render_markdown(Page(title="t", about="- " + "word " * 60 + "\n- second", sections=[]))
-    lines = text.splitlines()[2:]
+def test_prose_is_filled_in_and_wrapped_and_lists_stay_lists():
+    lines = render_markdown(Page(title="t", about="- " + "word " * 60 + "\n- second", sections=[])).splitlines()[2:]
     assert max(map(len, lines)) <= 110
     assert [line[:2] for line in lines] == ["- ", "  ", "  ", "- "]
-
-
-def test_prose_is_filled_in():
     assert "thresholds" not in say("duels", champion="epiprior")
     assert "`epiprior` is ahead" in say("duels", champion="epiprior")
     assert "\n" not in say("summary")

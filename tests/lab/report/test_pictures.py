@@ -24,7 +24,7 @@ def test_a_roll_is_at_most_half_a_turn(tmp_path, roll, shown):
     assert _caption(pair) == f"overlap 0.50   roll {shown}°"
 
 
-def test_every_pair_is_on_the_sheet(tmp_path):
+def test_every_pair_is_on_the_sheet_and_none_or_unreadable_ones_are_errors(tmp_path):
     colours = [(0, 0, 255), (0, 200, 0), (200, 0, 0)]
     pairs = [pair_of(tmp_path, f"p{k}", colour) for k, colour in enumerate(colours)]
     sheets = {"open": pairs[:2], "rolled": [pair_of(tmp_path, "tall", colours[2], (200, 80))]}
@@ -33,9 +33,6 @@ def test_every_pair_is_on_the_sheet(tmp_path):
     for colour in colours:
         assert (image == colour).all(axis=1).sum() > 2000, colour
     assert contact_sheet(sheets, path).read_bytes() == path.read_bytes()
-
-
-def test_nothing_to_show_and_unreadable_images_are_errors(tmp_path):
     with pytest.raises(DatasetError, match="no pairs"):
         contact_sheet({"open": []}, tmp_path / "sheet.png")
     pair = pair_of(tmp_path, "p", (9, 9, 9))

@@ -25,7 +25,7 @@ def root(tmp_path, photograph_report):
     return tmp_path
 
 
-def test_the_table_is_the_small_one_of_the_report(root, photograph_report):
+def test_the_table_is_the_small_one_of_the_report_and_the_command_writes_what_changed(root, photograph_report):
     got = readme.render_readme(TEXT, root)
     assert got.startswith("before\n<!-- results -->\n| matches | estimator | features | all pairs (12), 10 px |")
     assert got.endswith("|\n<!-- /results -->\nafter\n")
@@ -33,9 +33,6 @@ def test_the_table_is_the_small_one_of_the_report(root, photograph_report):
     assert len(lines) == 2 + 7
     assert "\n".join(lines) in (photograph_report[1] / "performance.md").read_text()
     assert readme.render_readme(got, root) == got
-
-
-def test_the_command_writes_what_changed(root):
     runner = CliRunner()
     runner.invoke(app, ["readme", "--root", str(root)], catch_exceptions=False)
     assert "old" not in (root / "README.md").read_text()

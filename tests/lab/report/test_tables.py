@@ -71,7 +71,7 @@ def test_successes_equal_counts_by_hand(both, threshold):
             assert np.isnan(table.loc[(threshold, group, estimator, base)]["gain"])
 
 
-def test_one_scene_has_a_value_and_no_interval(photographs):
+def test_one_scene_has_no_interval_and_what_is_absent_is_named(photographs, study, tmp_path):
     keep = vars(photographs.results.tables).items()
     one = {name: table[table["group"] == "fox"].assign(scene="a").reset_index(drop=True) for name, table in keep}
     results = read_results(Tables(**one), photographs.params)
@@ -80,9 +80,6 @@ def test_one_scene_has_a_value_and_no_interval(photographs):
     assert at[["gain", "scene_gain"]].notna().all(axis=None)
     assert at[["gain_low", "gain_high", "scene_gain_low", "scene_gain_high"]].isna().all(axis=None)
     assert tables.ranking_table(results)["gain_low"].isna().all()
-
-
-def test_an_absent_champion_and_an_estimator_without_a_baseline_are_named(study):
     with pytest.raises(ReportError, match="no results of degensac, only of usac"):
         tables.duel_table(study.results, "degensac", (10.0,))
     runs = study.results.tables.runs
@@ -90,6 +87,12 @@ def test_an_absent_champion_and_an_estimator_without_a_baseline_are_named(study)
     without = Tables(**{**vars(study.results.tables), "runs": kept})
     with pytest.raises(ReportError, match="prosac: no input of standard, generalized"):
         Results(without, by="group", hard=(), draws=100, seed=0).inputs("prosac")
+    (tmp_path / "a.csv").write_text("x,y\n1,2\n")
+    assert read_table(tmp_path / "a.csv", "x").shape == (1, 2)
+    with pytest.raises(ReportError, match=r"a\.csv: no column 'z'"):
+        read_table(tmp_path / "a.csv", "x z")
+    with pytest.raises(ReportError, match=r"b\.csv"):
+        read_table(tmp_path / "b.csv", "x")
 
 
 def test_duels_are_paired(both):
@@ -106,8 +109,7 @@ def test_duels_are_paired(both):
     assert row["difference_low"] <= row["difference"] <= row["difference_high"]
     better, worse = table["difference_low"] > 1e-9, table["difference_high"] < -1e-9
     known = table["difference_low"].notna()
-    expected = np.where(better, "better", np.where(worse, "worse", "open"))
-    assert (table["decided"] == expected)[known].all()
+    assert (table["decided"] == np.where(better, "better", np.where(worse, "worse", "open")))[known].all()
 
 
 @pytest.mark.parametrize(
@@ -118,8 +120,7 @@ def test_an_interval_that_touches_zero_but_for_rounding_decides_nothing(study, l
     interval = Interval(value=(low + high) / 2, low=low, high=high)
     assert tables.decided(interval) == expected
     cells = study.results.interval("x", interval, study.results.masks["all"], 40.0)
-    ends = (cells["x_low"], cells["x_high"])
-    assert ends == tuple(0.0 if abs(end) < 1e-9 else 40 * end for end in (low, high))
+    assert (cells["x_low"], cells["x_high"]) == tuple(0.0 if abs(end) < 1e-9 else 40 * end for end in (low, high))
 
 
 def test_poses_and_distances_count_only_pairs_that_have_them(photographs, photograph_report):
@@ -206,16 +207,13 @@ def test_limits_equal_counts_by_hand(photographs, photograph_report):
     assert table.loc["all", ["other_input", "other_estimator", "anyone"]].tolist() == expected
 
 
-def test_sets_that_are_absent_or_apart(photograph_report):
+def test_sets_that_are_absent_or_apart_and_every_pair_are_in_their_tables(photograph_report, photographs):
     table = photograph_report[0]["sets"].set_index("group")
     assert list(table.index[:3]) == ["zubud1", "zubud2", "blogs"]
     assert table.loc["zubud1", ["state", "pairs"]].tolist() == ["not present", 137]
     assert table.loc["scannet15", "state"] == "apart"
     assert table.loc["strecha", ["easy", "medium", "hard", "unlabelled"]].tolist() == [3, 2, 0, 1]
     assert table.loc["strecha", "labels"] == "control_points + none"
-
-
-def test_every_pair_is_in_the_table(photographs, photograph_report):
     table = pd.read_csv(photograph_report[1] / "tables" / "pairs.csv", dtype={"pair_id": str, "scene": str})
     assert len(table) == len(SETS) * 6 * sum(map(len, PHOTOGRAPH_INPUTS.values()))
     row = table[(table["group"] == "fox") & (table["pair_id"] == "0003") & (table["input"] == "snn")].iloc[0]
@@ -239,8 +237,7 @@ def test_a_cascade_takes_one_run_or_the_other(both):
     error = wide["standard"]["error"].where(kept, wide["default"]["error"])
     assert row["cascade"] == pytest.approx((error < 10).sum() / len(SEEDS))
     assert row["preprocessed"] == pytest.approx(1 - kept.mean())
-    lost = (wide["default"]["error"] < 10) & ~(error < 10)
-    assert row["lost"] == pytest.approx(lost.sum() / len(SEEDS))
+    assert row["lost"] == pytest.approx(((wide["default"]["error"] < 10) & ~(error < 10)).sum() / len(SEEDS))
     assert row["change"] == pytest.approx(row["cascade"] - row["always"], abs=1e-9)
 
 
@@ -249,15 +246,6 @@ def test_classifiers_by_scene_and_by_row(study, study_report):
     row = table.loc[("default", "match", "svm", "accuracy")]
     assert (row["grouped"], row["ungrouped"]) == (pytest.approx(0.6), pytest.approx(0.68))
     assert row["grouped_sd"] == pytest.approx(np.std([0, 0.01, 0.02, 0.03], ddof=1))
-
-
-def test_a_table_that_lacks_a_column_is_named(tmp_path):
-    (tmp_path / "a.csv").write_text("x,y\n1,2\n")
-    assert read_table(tmp_path / "a.csv", "x").shape == (1, 2)
-    with pytest.raises(ReportError, match=r"a\.csv: no column 'z'"):
-        read_table(tmp_path / "a.csv", "x z")
-    with pytest.raises(ReportError, match=r"b\.csv"):
-        read_table(tmp_path / "b.csv", "x")
 
 
 def test_a_comparison_is_the_paired_bootstrap_of_its_pairs(study):

@@ -90,7 +90,7 @@ def test_each_tolerance_holds_at_its_own_threshold_and_wins_buy_nothing():
     assert learn_rule(won, PARAMS, **AT).rule == NEVER
 
 
-def test_a_rule_has_a_margin():
+def test_a_rule_has_a_margin_and_held_out_shares_show_one_that_one_scene_decides():
     """0.5 parts right from wrong, but the wrong one is just below: 0.75 is chosen though it keeps less."""
     right = [(f"r{i}", 0.9, 1.0, 1.0) for i in range(10)] + [(f"q{i}", 0.6, 1.0, 1.0) for i in range(10)]
     found = learn_rule(runs_of([*right, ("w", 0.49, 50.0, 1.0)]), PARAMS, **AT)
@@ -98,10 +98,7 @@ def test_a_rule_has_a_margin():
     assert found.outcomes.loc[ALL, "preprocessed"] == pytest.approx(11 / 21)
     far = learn_rule(runs_of([*right, ("w", 0.2, 50.0, 1.0)]), PARAMS, **AT)
     assert far.rule == CascadeRule(min_confidence=0.5)
-
-
-def test_held_out_shares_show_a_rule_that_one_scene_decides():
-    """The only wrong answer that is plausible: without its scene, the rule would keep it."""
+    # The only wrong answer that is plausible: without its scene, the rule would keep it.
     rows = [(f"{p}-{i}", p, 1.0, 1.0) for p in (0.8, 0.4) for i in range(30)]
     found = learn_rule(runs_of([*rows, ("bad", 0.4, 90.0, 1.0)]), PARAMS, **AT)
     assert (found.rule.min_confidence, found.outcomes.loc[ALL, "lost"]) == (0.75, 0.0)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calls import note_calls
 from epiprior.estimators.handover import HandOver, default_hand_over
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation import inputs
@@ -107,8 +108,7 @@ def test_every_input_is_searched_by_what_matters_for_it():
 
 
 def trial(errors, top_k=None):
-    how = HandOver(top_k=top_k)
-    return Trial(estimator="usac", input="snn", step="top_k", how=how, errors_px=np.array(errors))
+    return Trial(estimator="usac", input="snn", step="top_k", how=HandOver(top_k=top_k), errors_px=np.array(errors))
 
 
 def test_score_counts_both_thresholds_alike_then_the_area():
@@ -146,17 +146,10 @@ def test_equal_matches_are_estimated_once(pairs, monkeypatch, tmp_path):
     how = HandOver(max_distance_ratio=0.9, threshold_px=1.0)
     changes = ({}, {"max_distance_ratio": None}, {"top_k": 10_000}, {"top_k": 50}, {"threshold_px": 2.0})
     candidates = [*(("snn", replace(how, **change)) for change in changes), ("standard", how)]  # three alike
-    calls = []
-
-    def counted(sets, *, seed, **settings):
-        calls.append(seed)
-        return original(sets, seed=seed, **settings)
-
-    original = hand_over_search.best_fundamental
-    monkeypatch.setattr(hand_over_search, "best_fundamental", counted)
+    calls = note_calls(monkeypatch, hand_over_search, "best_fundamental")
     how_tried = {"pair": pairs[0], "matches": files, "estimator": "usac", "candidates": candidates, "seeds": (0, 1)}
     got = hand_over_search.candidate_errors(**how_tried)
-    assert calls == [child_seed(seed, "relief-0") for seed in (0, 1)] * 4
+    assert [options["seed"] for _, options in calls] == [child_seed(seed, "relief-0") for seed in (0, 1)] * 4
     assert (got < 1).all()
     np.testing.assert_array_equal(got[:3], got[[0, 0, 0]])
     # What an earlier step found for the same matches, threshold and refinement is not run again either.
