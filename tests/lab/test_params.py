@@ -121,14 +121,13 @@ def test_what_follows_from_parameters():
     assert study.inputs_by_estimator["generalized-ransac"] == ("generalized", "snn", "default")
     assert set(study.all_inputs) == set(INPUTS)
     assert study.inputs_and_peers == study.inputs_by_estimator
-    every = ("standard", "snn", "default", "adalam", "gms")
-    assert photographs.inputs_and_peers["usac"] == (*every, "aliked", "xfeat")
-    assert photographs.inputs_and_peers["epiprior"] == ("standard", "snn", "fast", "default", "adalam", "gms")
+    assert photographs.inputs_and_peers["usac"] == ("standard", "snn", "default", "aliked", "xfeat")
+    assert photographs.inputs_and_peers["epiprior"] == ("standard", "snn", "fast", "default")
     assert replace(photographs, peers=None).inputs_and_peers == photographs.inputs_by_estimator
     for wrong in ({"loftr": ("usac",)}, {"aliked": ("usac2",)}):
         with pytest.raises(ValidationError, match="peer_estimators"):
             replace(photographs, peer_estimators=wrong)
-    assert "gms" not in photographs.all_inputs
+    assert "aliked" not in photographs.all_inputs
     assert study.pairs_of("open") == Path("data/scenes/test/open")
     assert study.control_points_of("open") == Path("data/ground_truth/test/open/control_points")
     assert photographs.pairs_of("fox") == Path("data/real/fox")

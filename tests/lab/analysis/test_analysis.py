@@ -22,6 +22,7 @@ from epiprior_lab.analysis.records import Analysis, LimitRecord, VariantRecord
 from epiprior_lab.analysis.variants import oriented_votes, propose, ranked_sets, reordered
 from epiprior_lab.evaluation.records import RANKS, RankingRecord, RunRecord, Tables
 from epiprior_lab.labels.ground_truth import LabelSettings
+from epiprior_lab.params import load_study
 from epiprior_lab.report import analysis as page
 from epiprior_lab.report import analysis_tables
 from synthetic import make_frames, make_pair
@@ -291,12 +292,18 @@ def test_everything_is_written_twice_alike(analysed, pairs, tmp_path):
     analysed.write(tmp_path / "data")
     names = {"pair_id": {"p0": "relief-0", "p1": "blank-0"}, "group": {"f": "relief"}}
     found = Tables(**{name: table.replace(names) for name, table in vars(evaluated()).items()})
+    params = load_study()
+    own = {
+        "estimators": ("usac", *params.analysis.estimators[1:]),
+        "table_quantiles": (0.0, 0.5),
+        "refined_hypotheses": 5,
+    }
+    params = replace(
+        params, analysis=replace(params.analysis, **own), report=replace(params.report, bootstrap_draws=100)
+    )
     written = []
     for out in (tmp_path / "one", tmp_path / "two"):
-        page.write_analysis(
-            Analysis.read([tmp_path / "data"]), found, {"relief": pairs}, out, estimator="usac",
-            thresholds_px=(10.0, 3.0), quantiles=(0.0, 0.5), refined=5, draws=100, seed=0,
-        )  # fmt: skip
+        page.write_analysis(Analysis.read([tmp_path / "data"]), found, {"relief": pairs}, out, params)
         written.append({path.name: path.read_bytes() for path in out.iterdir()})
     assert written[0] == written[1]
     figures = {"table1.jpg", "steps.png", "ablations.png", "limits.png"}

@@ -154,8 +154,8 @@ def test_thresholds_of_large_images_are_meant_at_working_size(pairs, tmp_path):
 def test_the_protocol_of_a_parameter_file(pairs, relief, monkeypatch):
     params = load_params("benchmarks/real/params.yaml")
     protocol = make_protocol(params)
-    assert protocol.inputs["usac"] == ("standard", "snn", "default", "adalam", "gms", "aliked", "xfeat")
-    assert protocol.hand_overs["usac"]["snn"] == protocol.hand_overs["usac"]["gms"] == HandOver()  # whole
+    assert protocol.inputs["usac"] == ("standard", "snn", "default", "aliked", "xfeat")
+    assert protocol.hand_overs["usac"]["snn"] == protocol.hand_overs["usac"]["aliked"] == HandOver()  # whole
     assert protocol.hand_overs["usac"]["default"] == load_hand_overs()["usac"]["default"] != HandOver()
     assert "aliked" not in protocol.inputs["beem"]
     assert protocol.all_inputs == (*protocol.inputs["usac"], "fast", "generalized")
