@@ -7,7 +7,6 @@ import json
 import math
 import os
 import threading
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,26 +33,17 @@ class ConflictError(LabelError):
     """The file was changed by somebody else since it was read."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class LabelImage:
-    """An image as OpenCV decodes it, turned as its EXIF data say; `sha256` is of the file.
+    """An image as OpenCV decodes it, turned as its EXIF data say; ImageError if it cannot be read.
 
-    The page shows `png`, the decoded pixels, whatever the format: what features are found on.
+    The page shows `png`, the decoded pixels, whatever the format: what features are found on. `sha256` is of the file.
     """
 
-    path: Path
-    width: int
-    height: int
-    png: bytes
-    sha256: str
-
-    @classmethod
-    def read(cls, path: Path) -> LabelImage:
-        """Return the image of a file; ImageError if it cannot be read."""
+    def __init__(self, path: Path) -> None:
         pixels = read_image(path, cv2.IMREAD_COLOR)
-        _, png = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-        return cls(path=path, width=pixels.shape[1], height=pixels.shape[0], png=png.tobytes(), sha256=sha256)
+        self.path, (self.height, self.width) = path, pixels.shape[:2]
+        self.png: bytes = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+        self.sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
 
     def described(self) -> dict[str, Any]:
         """Return name and size."""
@@ -69,7 +59,7 @@ class LabelSession:
     """
 
     def __init__(self, image1: Path, image2: Path, out: Path, *, force: bool = False) -> None:
-        self.images = (LabelImage.read(image1), LabelImage.read(image2))
+        self.images = (LabelImage(image1), LabelImage(image2))
         if self.images[0].sha256 == self.images[1].sha256:
             raise ImageError(f"{image2}: the same image as {image1}; a pair has two views")
         self.out = out
