@@ -81,7 +81,9 @@ class LabelSession:
     @property
     def click_px(self) -> float:
         """How precisely a hand clicks in images of this size, pixels."""
-        return max(1.0, _CLICK_PER_SIDE * max(max(image.width, image.height) for image in self.images))
+        return float(
+            max(1.0, *(_CLICK_PER_SIDE * side for image in self.images for side in (image.width, image.height)))
+        )
 
     def count(self) -> int | None:
         """Return how many points this session's file holds; None where nothing was saved."""
