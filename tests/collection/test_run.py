@@ -158,7 +158,7 @@ def count_rows(path):
 def test_a_cluster_gives_the_same(tmp_path):
     distributed = pytest.importorskip("distributed")
     views(tmp_path / "set", 3)
-    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0"}
     match_collection(tmp_path / "set", work=tmp_path / "here", workers=1, mode="standard")
     with distributed.LocalCluster(**options) as cluster:
         address = cluster.scheduler_address
