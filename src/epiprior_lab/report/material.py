@@ -73,11 +73,12 @@ def summary_table(
     groups: Sequence[str],
     px: Sequence[float],
     features: Mapping[str, float] | None = None,
+    seconds: Mapping[tuple[str, str], float] | None = None,
 ) -> Table:
     """Return the small table: per input shares of pairs that succeed, a column per threshold `px` and group.
 
     Every input has the estimator that serves it best over all pairs below the first threshold. `features` are their
-    numbers per image, by input; without them there is no such column.
+    numbers per image, by input, `seconds` what a pair takes, by input and estimator; without them there is no column.
     """
     columns = ["threshold_px", "group", "estimator", "pairs", "input", "successes"]
     table = successes[columns]
@@ -95,10 +96,11 @@ def summary_table(
         own = table[(table["input"] == name) & (table["estimator"] == best)].set_index(["group", "threshold_px"])
         count = number((features or {}).get(OURS if name == CASCADE else name, np.nan), 0)
         title = "cascade of X_L and ours" if name == CASCADE else input_title(name)
-        who.append([title, best, *([count] if features else [])])
+        taken = [number(seconds.get((name, best), np.nan), 1)] if seconds else []
+        who.append([title, best, *([count] if features else []), *taken])
         values.append([100 * own["successes"][g, t] / sizes[g] for t in px for g in groups])
     texts = zip(*(text.best_bold(column) for column in zip(*values, strict=True)), strict=True)
-    head = ["matches", "estimator", *(["features"] if features else [])]
+    head = ["matches", "estimator", *(["features"] if features else []), *(["seconds"] if seconds else [])]
     head += [f"{group_title(g, int(sizes[g]))}, {t:g} px" for t in px for g in groups]
     return Table(head=head, rows=[[*names, *cells] for names, cells in zip(who, texts, strict=True)], texts=2)
 

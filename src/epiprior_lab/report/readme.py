@@ -18,6 +18,7 @@ from epiprior_lab.report.results import read_table
 from epiprior_lab.report.text import ALL
 
 TABLES = Path("reports/real/tables")
+TIMES = Path("reports/real/timings/pairs.csv")
 BAG_TABLES = Path("reports/sfm/tables")
 _SUCCESSES = "threshold_px group estimator input pairs successes"
 _CASCADE = "threshold_px group estimator pairs cascade"
@@ -37,7 +38,10 @@ def render_readme(text: str, root: Path) -> str:
     cascade = read_table(root / TABLES / "cascade.csv", _CASCADE)
     px = (report.success_px, report.strict_px)
     features = features_by_input(read_table(root / TABLES / "rankings.csv", "group"))
-    text = _filled(text, "results", summary_table(successes, cascade, (ALL, *report.hard_groups), px, features))
+    timed = read_table(root / TIMES, "input estimator seconds_total")
+    seconds = timed.groupby(["input", "estimator"])["seconds_total"].median().to_dict()
+    small = summary_table(successes, cascade, (ALL, *report.hard_groups), px, features, seconds)
+    text = _filled(text, "results", small)
     if not (root / BAG_TABLES).is_dir():
         return text
     bags = [read_table(root / BAG_TABLES / f"{name}.csv", "intrinsics method") for name in ("summary", "intruders")]
