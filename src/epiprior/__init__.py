@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from epiprior.errors import SettingsError as SettingsError
     from epiprior.estimators.handover import HandOver as HandOver
     from epiprior.estimators.registry import list_estimators as list_estimators
+    from epiprior.explain import Explanation as Explanation
+    from epiprior.explain import explain_match as explain_match
     from epiprior.matching.baselines import generalized_matches as generalized_matches
     from epiprior.matching.baselines import snn_matches as snn_matches
     from epiprior.matching.baselines import standard_matches as standard_matches
@@ -55,6 +57,7 @@ _NAMES = {
     ),
     "estimators.handover": ("HandOver",),
     "estimators.registry": ("list_estimators",),
+    "explain": ("Explanation", "explain_match"),
     "matching.baselines": ("generalized_matches", "snn_matches", "standard_matches"),
     "presets": ("FeatureSettings", "PreprocessSettings"),
     "rank": ("rank_matches",),

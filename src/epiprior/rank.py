@@ -1,10 +1,13 @@
 """The composition: two images in, matches with probabilities out (paper, algorithm 1, lines 2 to 16)."""
 
+import time
+
 import numpy as np
 
 from epiprior.errors import ModelError
 from epiprior.features.images import View
 from epiprior.kernels.compilation import announce_compilation
+from epiprior.kernels.parallel import in_threads
 from epiprior.matching.baselines import standard_set
 from epiprior.matching.pair import PreparedPair, Stopwatch, prepare_pair, roll_hypotheses
 from epiprior.presets import (
@@ -15,7 +18,7 @@ from epiprior.presets import (
     PreprocessSettings,
     find_preset,
 )
-from epiprior.ranking.hypothesis import Candidates, Votes, cast_votes, describe_matches, find_candidates
+from epiprior.ranking.hypothesis import Candidates, Votes, cast_votes, cluster_images, describe_matches, find_candidates
 from epiprior.ranking.models import RankingModel, load_model
 from epiprior.ranking.second_round import second_round_rows, second_round_table
 from epiprior.ranking.votes import add_votes
@@ -65,17 +68,23 @@ def rank_matches(
     )
     with watch.step("roll"):
         rolls = roll_hypotheses(prepared, settings)
-    sets = []
-    for roll_deg in rolls:
-        candidates = find_candidates(prepared, roll_deg, settings, watch)
-        with watch.step("2keypoint classifier"):
+    clustered = cluster_images(prepared, rolls, settings, watch)
+
+    def rank(k: int) -> tuple[MatchSet, Stopwatch]:
+        own = Stopwatch()
+        candidates = find_candidates(prepared, rolls[k], settings, own, clustered=clustered[k])
+        with own.step("2keypoint classifier"):
             probability = model.predict_two_keypoint(candidates.two_keypoints.select(model.two_keypoint_columns))
-        with watch.step("votes"):
+        with own.step("votes"):
             votes = cast_votes(candidates.frames, candidates.two_keypoints, probability, settings)
-        with watch.step("probabilities"):
-            sets.append(rank_voted(prepared, candidates, votes, model, settings))
+        with own.step("probabilities"):
+            return rank_voted(prepared, candidates, votes, model, settings), own
+
+    start = time.perf_counter()
+    sets, watches = zip(*in_threads(rank, range(len(rolls))), strict=True)
+    watch.share(time.perf_counter() - start, watches)
     standard = standard_set(prepared, settings)
-    return RankedMatches(sets=tuple(sets), standard=standard, seconds=watch.seconds, preset=settings.name)
+    return RankedMatches(sets=sets, standard=standard, seconds=watch.seconds, preset=settings.name)
 
 
 def _check_columns(model: RankingModel, settings: PreprocessSettings) -> None:

@@ -54,3 +54,14 @@ def test_the_cache_of_compiled_kernels_is_recognised_and_not_needed(tmp_path):
     said = run_python(NOWHERE + WALK).stderr
     assert said.count("no folder for compiled kernels can be written") == 1
     assert "compiling kernels of the walk" in said
+
+
+def test_a_damaged_cache_of_compiled_kernels_is_made_anew(tmp_path):
+    run_python(WALK, NUMBA_CACHE_DIR=str(tmp_path))
+    for suffix in ("nbi", "nbc"):
+        for file in tmp_path.rglob(f"*.{suffix}"):
+            file.write_bytes(b"\x80\x05\x8c\x04\xff\xff\xff\xff" if suffix == "nbi" else file.read_bytes()[:-100])
+        said = [run_python(WALK, NUMBA_CACHE_DIR=str(tmp_path)).stderr for _ in range(2)]
+        assert "damaged cache of the compiled kernel" in said[0], suffix
+        assert "damaged" not in said[1]
+        assert "compiling" not in said[1]

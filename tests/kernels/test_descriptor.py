@@ -47,7 +47,7 @@ def test_the_kernel_is_its_slow_twin(angle_deg):
     places = [(45.2, 35.7, 2.0), (3.1, 30.0, 2.5), (88.0, 69.0, 3.0), (40.5, 35.5, 1.7), (44.0, 36.0, 30.0)]
     frames = np.array([(*place, math.radians(angle_deg)) for place in [*places, (500.0, -80.0, 2.0)]])
     found = np.full((len(frames) + 1, 128), -1.0, np.float32)
-    describe_level(level, frames, np.arange(len(frames)), found)
+    describe_level(level.ravel(), *level.shape, frames, np.arange(len(frames)), found)
     for frame, descriptor in zip(frames, found, strict=False):
         # The kernel's arc tangent is right to 0.3 degrees.
         np.testing.assert_allclose(descriptor, slow_descriptor(level, *frame), atol=2.5)

@@ -215,8 +215,8 @@ def _homography(best: _Hypothesis, px: float) -> tuple[FloatArray | None, Geomet
     sizes = best.collected.image_sizes
     if best.F is None:
         x1, x2 = best.collected.x1, best.collected.x2
-        enough = distinct_count(x1[on], x2[on]) >= max(MIN_MATCHES, _MOST * distinct_count(x1, x2))
-        if not enough or chance_of_homography(x1[on], x2[on], x1, x2, px) > _SURE_BY_CHANCE:
+        support, total = distinct_count(x1[on], x2[on]), distinct_count(x1, x2)
+        if support < max(MIN_MATCHES, _MOST * total) or chance_of_homography(support, total, x2, px) > _SURE_BY_CHANCE:
             return None, None
     if not on.any():
         return None, None

@@ -5,7 +5,7 @@ import numpy as np
 from epiprior.features.images import Photograph
 from epiprior.features.scale_space import FIRST_OCTAVE, LAYERS, level_of, octave_levels
 from epiprior.kernels.descriptor import describe_level
-from epiprior.kernels.parallel import in_chunks
+from epiprior.kernels.parallel import in_threads
 from epiprior.types import Features, Float32Array, FloatArray, IntArray
 
 _CHUNK = 1_000
@@ -25,7 +25,7 @@ def describe_frames(photograph: Photograph, frames: FloatArray) -> Float32Array:
         for level in range(LAYERS):
             rows = np.flatnonzero((octave == k) & (layer == level + 1))
             work += [(levels[level], rows[first : first + _CHUNK]) for first in range(0, len(rows), _CHUNK)]
-    in_chunks(lambda part: describe_level(work[part.start][0], scaled, work[part.start][1], descriptors), len(work), 1)
+    in_threads(lambda one: describe_level(one[0].ravel(), *one[0].shape, scaled, one[1], descriptors), work)
     return descriptors
 
 

@@ -141,7 +141,7 @@ def epipoles(F, right, left):  # type: ignore[no-untyped-def]
     for side in range(2):
         M, v = (F, right) if side == 0 else (F.T, left)
         longest = 0.0
-        v[:] = 0.0
+        v[0] = v[1] = v[2] = 0.0
         for i in range(3):
             j = (i + 1) % 3
             a = M[i, 1] * M[j, 2] - M[i, 2] * M[j, 1]

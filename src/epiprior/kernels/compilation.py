@@ -7,10 +7,35 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import FunctionCache
 
 logger = logging.getLogger(__name__)
 
 _asked: set[Any] = set()
+
+
+class _OptionalCache(FunctionCache):
+    """Numba's cache of one kernel on disk, without which everything works: damaged files are compiled anew."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled kernel; None where there is none, or none that can be read."""
+        try:
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except Exception as error:  # noqa: BLE001 - whatever a damaged pickle raises
+            logger.warning("damaged cache of the compiled kernel %s, compiled anew: %r", self._name, error)
+            self._unless_it_fails(self.flush)
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled kernel, if that can be."""
+        self._unless_it_fails(super().save_overload, sig, data)
+
+    @staticmethod
+    def _unless_it_fails(work: Callable[..., object], *arguments: Any) -> None:
+        try:
+            work(*arguments)
+        except Exception as error:  # noqa: BLE001 - a full disk, an index that another process damaged
+            logger.debug("the cache of compiled kernels: %r", error)
 
 
 def compiled(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
@@ -23,7 +48,7 @@ def compiled(function: Callable[..., Any] | None = None, /, **options: Any) -> A
     def decorate(function: Callable[..., Any]) -> Any:
         kernel = numba.njit(nogil=True, **options)(function)
         try:
-            kernel.enable_caching()
+            kernel._cache = _OptionalCache(kernel.py_func)  # type: ignore[no-untyped-call]  # as enable_caching does
         except (RuntimeError, OSError):  # numba: no locator available
             _warn_of_no_cache()
         return kernel

@@ -147,14 +147,12 @@ def _finish(hist, out):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def describe_level(level, frames, rows, out):  # type: ignore[no-untyped-def]
+def describe_level(pixels, height, width, frames, rows, out):  # type: ignore[no-untyped-def]
     """Write the descriptors, float32 of shape (128,), of the frames `rows` to these rows of `out`.
 
-    `level`, (h, w) float32, is the smoothed image; `frames`, (N, 4) float64: x, y, sigma in its pixels, and orientation
-    in radians, clockwise on the screen.
+    `pixels`, (height * width,) float32, are the smoothed image row by row; `frames`, (N, 4) float64: x, y, sigma in its
+    pixels, and orientation in radians, clockwise on the screen.
     """
-    height, width = level.shape
-    pixels = level.ravel()
     hist = np.empty(_SIZE, np.float32)
     window, samples, cells = np.empty(0, np.float32), np.empty((5, 0), np.float32), np.empty(0, np.int32)
     for n in rows:
@@ -176,6 +174,7 @@ def describe_level(level, frames, rows, out):  # type: ignore[no-untyped-def]
         dx, dy, row, column = samples[0, :count], samples[1, :count], samples[3, :count], samples[4, :count]
         cell = cells[:count]
         _to_bins(dx, dy, samples[2], row, column, np.float32(turn), cell)
-        hist[:] = _ZERO
+        for k in range(_SIZE):
+            hist[k] = _ZERO
         _share_out(dx, dy, row, column, cell, hist)
         _finish(hist, out[n])

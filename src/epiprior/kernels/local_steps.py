@@ -32,7 +32,8 @@ def inner_sample(residual_sq, limit_sq, gain, weights, state):  # type: ignore[n
         cumulative[i] = total
     if supporters < 16:
         return False
-    weights[:] = 0.0
+    for i in range(n):
+        weights[i] = 0.0
     wanted = min(_INNER_SAMPLE, supporters // 2)
     taken = 0
     for _ in range(10 * wanted):
@@ -58,7 +59,8 @@ def optimise(F, columns, gain, odds, rest, kind, sigma, cut, wide, repeats, stat
     n = columns.shape[1]
     work = np.empty((2, BLOCK))
     weights, residual_sq, gradient_sq = np.empty(n), np.empty(n), np.empty(n)
-    trial = F.copy()
+    trial = np.empty((3, 3))
+    copy_matrix(F, trial)
     best = score(F, columns, odds, rest, kind, sigma, cut, -np.inf, work)
     for repeat in range(repeats + 1):
         if repeat > 0:
@@ -143,7 +145,7 @@ def climb(model, columns, prior, weights, group, limit, thresholds, reach, sampl
     trial = np.empty((1, 3, 3))
     squared_distances(model, columns, squares, gradient_sq)
     best = score_of_groups(squares, weights, group, limit * limit)
-    trial[0] = model
+    copy_matrix(model, trial[0])
     for sample in range(samples + 1):
         if sample > 0:
             squared_distances(model, columns, squares, gradient_sq)
@@ -158,5 +160,5 @@ def climb(model, columns, prior, weights, group, limit, thresholds, reach, sampl
         score = score_of_groups(squares, weights, group, limit * limit)
         if score > best:
             best = score
-            model[:] = trial[0]
+            copy_matrix(trial[0], model)
     return best

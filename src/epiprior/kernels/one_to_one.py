@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 from epiprior.errors import FeatureError
 from epiprior.kernels.compilation import compiled
 
+_SPARSE = 100
+
 
 @compiled
 def _walk(feature1, feature2, used1, used2):  # type: ignore[no-untyped-def]
@@ -31,8 +33,15 @@ def one_to_one_mask(feature1: NDArray[np.int64], feature2: NDArray[np.int64]) ->
         return np.zeros(0, dtype=np.bool_)
     if min(first.min(), second.min()) < 0:
         raise FeatureError(f"feature numbers must not be negative, found {min(first.min(), second.min())}")
-    # Dense numbers keep the memory at the number of matches, whatever numbers the caller uses.
-    unique1, dense1 = np.unique(first, return_inverse=True)
-    unique2, dense2 = np.unique(second, return_inverse=True)
-    mask: NDArray[np.bool_] = _walk(dense1, dense2, np.zeros(len(unique1), np.bool_), np.zeros(len(unique2), np.bool_))
+    first, second = _dense(first), _dense(second)
+    mask: NDArray[np.bool_] = _walk(
+        first, second, np.zeros(first.max() + 1, np.bool_), np.zeros(second.max() + 1, np.bool_)
+    )
     return mask
+
+
+def _dense(feature: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return numbers that distinguish the same features and keep memory at the number of matches, (N,)."""
+    if feature.max() < _SPARSE * len(feature):
+        return feature
+    return np.asarray(np.unique(feature, return_inverse=True)[1], np.int64)

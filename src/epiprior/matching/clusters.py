@@ -130,7 +130,8 @@ def _median_descriptors(descriptors, members, start):  # type: ignore[no-untyped
     for c in range(len(start) - 1):
         n = start[c + 1] - start[c]
         if n == 1:
-            out[c] = descriptors[members[start[c]]]
+            for j in range(descriptors.shape[1]):
+                out[c, j] = descriptors[members[start[c]], j]
             continue
         column = np.empty(n, np.float32)
         for j in range(descriptors.shape[1]):

@@ -2,11 +2,9 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -15,12 +13,11 @@ from epiprior.features.describe import normalise_descriptors
 from epiprior.features.detect import detect_features
 from epiprior.features.images import Photograph, View, blank_photograph, load_photograph
 from epiprior.features.locations import Locations, locate
+from epiprior.kernels.parallel import in_threads
 from epiprior.matching.roll import expected_roll, orientation_differences
 from epiprior.matching.standard import Neighbours, StandardTable, mutual_mask, nearest_neighbours, standard_table
 from epiprior.presets import DEFAULT, PreprocessSettings
 from epiprior.types import Features, Float32Array, FloatArray, MatchSet
-
-_T = TypeVar("_T")
 
 
 class Stopwatch:
@@ -38,12 +35,12 @@ class Stopwatch:
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
-
-def both_images(function: Callable[[int], _T]) -> tuple[_T, _T]:
-    """Call `function` with 0 and 1, one thread for each image."""
-    with ThreadPoolExecutor(2) as pool:
-        first, second = pool.map(function, (0, 1))
-    return first, second
+    def share(self, seconds: float, watches: Sequence["Stopwatch"]) -> None:
+        """Add what others measured at the same time: their steps share these `seconds` of wall time in proportion."""
+        total = sum(sum(watch.seconds.values()) for watch in watches)
+        for watch in watches:
+            for name, own in watch.seconds.items():
+                self.seconds[name] = self.seconds.get(name, 0.0) + seconds * own / total
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +101,7 @@ def prepare_pair(
         return photograph, own
 
     with watch.step("features"):
-        (photo1, own1), (photo2, own2) = both_images(find)
+        (photo1, own1), (photo2, own2) = in_threads(find, (0, 1))
     if own1.descriptors.shape[1] != own2.descriptors.shape[1]:
         raise FeatureError(
             f"descriptors have {own1.descriptors.shape[1]} and {own2.descriptors.shape[1]} entries, expected the same"

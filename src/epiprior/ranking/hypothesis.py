@@ -1,12 +1,14 @@
 """Steps 3b to 7 under one roll hypothesis: clusters, X, 2keypoints, votes, kpmd (paper, sections 4.2 to 4.6)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from epiprior.features.describe import describe_at_orientation, normalise_descriptors
-from epiprior.matching.clusters import cluster_features
-from epiprior.matching.pair import PreparedPair, Stopwatch, both_images
+from epiprior.kernels.parallel import in_threads
+from epiprior.matching.clusters import Clusters, cluster_features
+from epiprior.matching.pair import PreparedPair, Stopwatch
 from epiprior.matching.putative import PutativeMatches, putative_matches
 from epiprior.matching.standard import StandardTable
 from epiprior.presets import DEFAULT, PreprocessSettings
@@ -30,6 +32,14 @@ from epiprior.ranking.two_keypoints import (
 )
 from epiprior.ranking.votes import count_votes, frame_points, rough_fundamental_matrices
 from epiprior.types import Float32Array, FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClusteredImage:
+    """The features of one image, one per location, described at a fixed orientation, and their clusters."""
+
+    descriptors: Float32Array  # (L, D), unit length
+    clusters: Clusters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,24 +76,47 @@ class Votes:
     probability: FloatArray = field(repr=False)  # (T,), of all 2keypoint matches
 
 
-def find_candidates(
-    prepared: PreparedPair, roll_deg: float, settings: PreprocessSettings = DEFAULT, watch: Stopwatch | None = None
-) -> Candidates:
-    """Cluster the features, match clusters, match 2keypoints (sections 4.2 to 4.4), under one roll hypothesis."""
-    watch = watch or Stopwatch()
-    how = settings.features
+def cluster_images(
+    prepared: PreparedPair,
+    rolls_deg: Sequence[float],
+    settings: PreprocessSettings = DEFAULT,
+    watch: Stopwatch | None = None,
+) -> list[tuple[ClusteredImage, ClusteredImage]]:
+    """Describe and cluster both images (section 4.2) under each roll hypothesis; all share what is done for image 1."""
+    watch, how = watch or Stopwatch(), settings.features
+    views = [(0, 0.0), *((1, roll_deg) for roll_deg in rolls_deg)]
 
-    def describe(k: int) -> Float32Array:
+    def describe(view: tuple[int, float]) -> Float32Array:
+        k, orientation_deg = view
         photograph, first = prepared.photographs[k], prepared.locations[k].first
         if photograph is None:
             return prepared.descriptors[k][first]
-        raw = describe_at_orientation(photograph, prepared.features[k].take(first), roll_deg if k else 0.0)
+        raw = describe_at_orientation(photograph, prepared.features[k].take(first), orientation_deg)
         return normalise_descriptors(raw, root=how.root, centred=how.centred)
 
     with watch.step("fixed orientation"):
-        fixed = both_images(describe)
+        fixed = in_threads(describe, views)
     with watch.step("clusters"):
-        clusters1, clusters2 = both_images(lambda k: cluster_features(fixed[k], settings.min_cluster_similarity))
+        clusters = in_threads(lambda one: cluster_features(one, settings.min_cluster_similarity), fixed)
+    first, *second = (ClusteredImage(descriptors=d, clusters=c) for d, c in zip(fixed, clusters, strict=True))
+    return [(first, one) for one in second]
+
+
+def find_candidates(
+    prepared: PreparedPair,
+    roll_deg: float,
+    settings: PreprocessSettings = DEFAULT,
+    watch: Stopwatch | None = None,
+    *,
+    clustered: tuple[ClusteredImage, ClusteredImage] | None = None,
+) -> Candidates:
+    """Cluster the features, match clusters, match 2keypoints (sections 4.2 to 4.4), under one roll hypothesis.
+
+    `clustered` are both images of `cluster_images`, if that is done.
+    """
+    watch = watch or Stopwatch()
+    one, two = clustered or cluster_images(prepared, [roll_deg], settings, watch)[0]
+    fixed, clusters1, clusters2 = (one.descriptors, two.descriptors), one.clusters, two.clusters
     with watch.step("putative matches"):
         X = putative_matches(clusters1, clusters2, *fixed, settings.max_matches_per_cluster_pair)
         union = unite(X, prepared.table)

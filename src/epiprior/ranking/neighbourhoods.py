@@ -79,17 +79,30 @@ def neighbourhoods(
 
 
 @compiled
-def _nearest_members(i, xy, group, count):  # type: ignore[no-untyped-def]
-    """Return the `count` nearest members of a cluster to feature i, fewer if it has no more."""
-    distance = np.empty(len(group))
-    for q in range(len(group)):
-        d = np.hypot(xy[group[q], 0] - xy[i, 0], xy[group[q], 1] - xy[i, 1])
-        distance[q] = d if d > 1e-6 else np.inf
-    order = np.argsort(distance, kind="mergesort")
+def _nearest_members(i, xy, group, nearest, distance):  # type: ignore[no-untyped-def]
+    """Fill `nearest` with the nearest members of a cluster to feature i, and return how many there are."""
     found = 0
-    while found < min(count, len(group)) and np.isfinite(distance[order[found]]):
-        found += 1
-    return group[order[:found]]
+    for j in group:
+        d = np.hypot(xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1])
+        if d <= 1e-6 or (found == len(nearest) and d >= distance[found - 1]):
+            continue
+        found = min(found + 1, len(nearest))
+        q = found - 1  # few: inserted in order
+        while q > 0 and distance[q - 1] > d:
+            nearest[q], distance[q] = nearest[q - 1], distance[q - 1]
+            q -= 1
+        nearest[q], distance[q] = j, d
+    return found
+
+
+@compiled
+def _put_in_order(neighbour, rule, first, end):  # type: ignore[no-untyped-def]
+    for q in range(first + 1, end):
+        j, flags, k = neighbour[q], rule[q], q
+        while k > first and neighbour[k - 1] > j:
+            neighbour[k], rule[k] = neighbour[k - 1], rule[k - 1]
+            k -= 1
+        neighbour[k], rule[k] = j, flags
 
 
 @compiled
@@ -99,6 +112,7 @@ def _collect(index, distance, xy, scale, label, members, cluster_start, k1, k2, 
     start = np.zeros(n + 1, np.int64)
     neighbour = np.empty(n * capacity, np.int64)
     rule = np.empty(n * capacity, np.uint8)
+    nearest, distance_of = np.empty(k3, np.int64), np.empty(k3)
     end = 0
     for i in range(n):
         first = end
@@ -115,9 +129,9 @@ def _collect(index, distance, xy, scale, label, members, cluster_start, k1, k2, 
             neighbour[end], rule[end] = index[i, q], flag
             end += 1
         group = members[cluster_start[label[i]] : cluster_start[label[i] + 1]]
-        if len(group) > 1:
-            for j in _nearest_members(i, xy, group, k3):
-                known = False
+        if len(group) > 1 and k3 > 0:
+            for q in range(_nearest_members(i, xy, group, nearest, distance_of)):
+                j, known = nearest[q], False
                 for e in range(first, end):
                     if neighbour[e] == j:
                         rule[e] |= SAME_CLUSTER
@@ -125,8 +139,6 @@ def _collect(index, distance, xy, scale, label, members, cluster_start, k1, k2, 
                 if not known:
                     neighbour[end], rule[end] = j, SAME_CLUSTER
                     end += 1
-        order = np.argsort(neighbour[first:end], kind="mergesort")
-        neighbour[first:end] = neighbour[first:end][order]
-        rule[first:end] = rule[first:end][order]
+        _put_in_order(neighbour, rule, first, end)
         start[i + 1] = end
     return start, neighbour[:end].copy(), rule[:end].copy()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from epiprior.geometry import centred_columns
+from epiprior.geometry import as_columns, centred_columns
 from epiprior.kernels.compilation import compiled
 from epiprior.kernels.parallel import in_chunks
 from epiprior.kernels.sampson import residual
@@ -103,12 +103,11 @@ def _moments(p1, p2):  # type: ignore[no-untyped-def]
 
 
 @compiled(fastmath={"contract", "arcp", "nsz"})
-def add_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no-untyped-def]
+def add_votes(F, weights, x, y, u, v, limit_sq, votes, weighted):  # type: ignore[no-untyped-def]
     """Add, per match, the matrices within the limit and their weights, in the order of the matrices.
 
     The inner loop is over matches: its sums are independent, so that vector instructions change no bit.
     """
-    x, y, u, v = x1[:, 0].copy(), x1[:, 1].copy(), x2[:, 0].copy(), x2[:, 1].copy()
     count = np.zeros(len(x), np.int32)
     none = np.float32(0)
     for k in range(F.shape[1]):
@@ -121,7 +120,8 @@ def add_votes(F, weights, x1, x2, limit_sq, votes, weighted):  # type: ignore[no
             hit = e * e < limit_sq * gradient_sq
             count[m] += np.int32(hit)
             weighted[m] += w if hit else none
-    votes[:] = count
+    for m in range(len(x)):
+        votes[m] = count[m]
 
 
 def count_votes(
@@ -138,10 +138,10 @@ def count_votes(
     c1, c2 = x1.mean(axis=0), x2.mean(axis=0)
     columns = centred_columns(F, c1, c2)
     w = np.ones(len(F), np.float32) if weights is None else weights.astype(np.float32)
-    p1, p2 = (x1 - c1).astype(np.float32), (x2 - c2).astype(np.float32)
+    points = as_columns(x1 - c1, x2 - c2).astype(np.float32)
 
     def work(part: slice) -> None:
-        add_votes(columns, w, p1[part], p2[part], np.float32(threshold**2), votes[part], weighted[part])
+        add_votes(columns, w, *points[:, part], np.float32(threshold**2), votes[part], weighted[part])
 
     in_chunks(work, len(x1), _CHUNK)
     return votes, weighted.astype(np.float64)

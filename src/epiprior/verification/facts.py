@@ -10,7 +10,7 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from scipy.spatial import cKDTree
 
-from epiprior.geometry import sampson_distance
+from epiprior.geometry import first_of_equal, sampson_distance
 from epiprior.types import BoolArray, Float32Array, FloatArray, MatchSet
 from epiprior.verification import degeneracy, measures, overlay
 from epiprior.verification.chance import MATCHES_PER_F, chance_rate, distinct_count, log_chance
@@ -106,7 +106,7 @@ def describe_estimate(
     total, support = distinct_count(x1, x2), distinct_count(own.x1, own.x2)
     total_handed, support_handed = (distinct_count(m.x1, m.x2) for m in (handed, handed.take(first)))
     rate = chance_rate(F, x1, x2, threshold_px)
-    cells = [len(np.unique(np.floor(x / measures.CELL_PX), axis=0)) for x in (own.x1, own.x2)]
+    cells = [len(first_of_equal(np.floor(x / measures.CELL_PX))) for x in (own.x1, own.x2)]
     extents = [(_side(a), _side(b)) for a, b in ((own.x1, x1), (own.x2, x2))]
     agree = [float(np.mean(sampson_distance(o, own.x1, own.x2) < threshold_px)) for o in others if support]
     known = measures.camera_plausibility(F[None], matches.image_sizes)[0] if matches.image_sizes else UNKNOWN
@@ -141,7 +141,7 @@ def describe_estimate(
         moved=math.log1p(_median(np.linalg.norm(own.x2 - own.x1, axis=1))),
         in_place=overlay.share_in_place(own.x1, own.x2),
         apart=float(np.mean(overlay.apart_from_overlay(x1, x2)[inliers])) if support else 0.0,
-        **_plane(F, H, collected, inliers, threshold_px, rate),
+        **_plane(F, H, collected, inliers, total, threshold_px, rate),
     )
 
 
@@ -204,7 +204,7 @@ def _odds(F: FloatArray, matches: MatchSet, own: MatchSet, threshold_px: float) 
 
 
 def _plane(
-    F: FloatArray, H: FloatArray | None, collected: MatchSet, inliers: BoolArray, px: float, rate: float
+    F: FloatArray, H: FloatArray | None, collected: MatchSet, inliers: BoolArray, total: int, px: float, rate: float
 ) -> dict[str, float]:
     names = COLUMNS[COLUMNS.index("plane_tight") :]
     if H is None:
@@ -214,13 +214,13 @@ def _plane(
     near, wide = distance < degeneracy.PLANE_FACTOR * px, distance[inliers]
     on1, on2 = x1[near], x2[near]
     off, expected = degeneracy.off_plane_evidence(F, H, x1, x2, threshold_px=px, rate=rate)
-    parallax = degeneracy.parallax_by_chance(F, H, on1, on2)
+    parallax, support = degeneracy.parallax_by_chance(F, H, on1, on2), distinct_count(on1, on2)
     return {
         "plane_tight": float(np.mean(wide < px)),
         "plane": float(np.mean(wide < degeneracy.PLANE_FACTOR * px)),
-        "plane_all": distinct_count(on1, on2) / max(distinct_count(x1, x2), 1),
-        "plane_support": math.log1p(distinct_count(on1, on2)),
-        "plane_by_chance": chance_of_homography(on1, on2, x1, x2, px),
+        "plane_all": support / max(total, 1),
+        "plane_support": math.log1p(support),
+        "plane_by_chance": chance_of_homography(support, total, x2, px),
         "off_plane": math.log1p(off),
         "off_plane_by_chance": math.log10(min(max(expected, 1e-300), 1e9)),
         "parallax_by_chance": math.log10(max(parallax, 1e-300)),
@@ -231,8 +231,11 @@ def _plane(
     }
 
 
-def chance_of_homography(on1: FloatArray, on2: FloatArray, x1: FloatArray, x2: FloatArray, px: float) -> float:
-    """Return `log_chance` of the matches on a homography among all; a random one lies on it by the area of its disc."""
+def chance_of_homography(support: int, total: int, x2: FloatArray, px: float) -> float:
+    """Return `log_chance` of `support` of `total` distinct matches on a homography.
+
+    A random match lies on it by the area of its disc among the points `x2`, (N, 2), of image 2.
+    """
     radius = degeneracy.PLANE_FACTOR * px
     rate = min(1.0, math.pi * radius**2 / max(_side(x2) ** 2, 1.0))
-    return log_chance(distinct_count(on1, on2), distinct_count(x1, x2), rate, _MATCHES_PER_H)
+    return log_chance(support, total, rate, _MATCHES_PER_H)

@@ -19,6 +19,7 @@ CELL_PX = 48.0  # the reach of a few features
 FOCAL_LENGTHS = np.geomspace(0.6, 2.5, 13)
 CHANCE = 0.02
 WITHOUT_RATIO = 0.5
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # rows and columns of cofactors
 
 
 def camera_plausibility(models: FloatArray, image_sizes: ImageSizes | None) -> FloatArray:
@@ -30,20 +31,19 @@ def camera_plausibility(models: FloatArray, image_sizes: ImageSizes | None) -> F
     outliers made. A crop, a shifted lens or two very different zooms lower the value of a right F towards that of wrong
     ones. It then tells nothing; it does not mislead.
     """
-    best = np.zeros(len(models))
     if image_sizes is None or not len(models):
         return np.ones(len(models))
-    for focal in FOCAL_LENGTHS:
-        K1, K2 = (intrinsics(size, float(focal)) for size in image_sizes)
-        E = K2.T @ models @ K1
-        # Of rank two: the sum and the product of the squared singular values give both.
-        total = (E**2).sum(axis=(1, 2))
-        cofactors = np.stack([np.cross(E[:, i], E[:, j]) for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
-        product = (cofactors**2).sum(axis=(1, 2))
-        first = (total + np.sqrt(np.maximum(total * total - 4.0 * product, 0.0))) / 2.0
-        first_sq = first * first
-        ratio_sq = np.divide(product, first_sq, out=np.zeros_like(first), where=first_sq > 0)
-        best = np.maximum(best, np.sqrt(ratio_sq))
+    K1, K2 = (np.stack([intrinsics(size, float(f)) for f in FOCAL_LENGTHS])[:, None] for size in image_sizes)
+    E = K2.swapaxes(2, 3) @ models @ K1
+    # Of rank two: the sum and the product of the squared singular values give both.
+    total = (E**2).sum(axis=(2, 3))
+    cofactors = E[..., _NEXT, :][..., _NEXT] * E[..., _LAST, :][..., _LAST]
+    cofactors -= E[..., _NEXT, :][..., _LAST] * E[..., _LAST, :][..., _NEXT]
+    product = np.square(cofactors, order="C").sum(axis=(2, 3))
+    first = (total + np.sqrt(np.maximum(total * total - 4.0 * product, 0.0))) / 2.0
+    first_sq = first * first
+    ratio_sq = np.divide(product, first_sq, out=np.zeros_like(first), where=first_sq > 0)
+    best = np.maximum(np.sqrt(ratio_sq).max(axis=0), 0.0)
     return np.asarray(np.nan_to_num(best, nan=0.0).clip(0.0, 1.0))
 
 

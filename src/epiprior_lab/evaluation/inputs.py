@@ -75,11 +75,11 @@ def match_detected(found: DetectedPair, inputs: Sequence[str]) -> PairMatches:
     unknown = [name for name in inputs if name not in INPUTS]
     if unknown:
         raise SettingsError(f"input is {unknown[0]!r}, known: {', '.join(INPUTS)}")
-    of_settings = {_detection(PREPROCESSED): found}
+    of_settings = {found.settings: found}
     sets: dict[str, tuple[MatchSet, ...]] = {}
     features: dict[str, tuple[int, int]] = {}
     for name in inputs:
-        settings = _detection(name)
+        settings = detection_of(name)
         if settings not in of_settings:
             of_settings[settings] = detect_images(*found.photographs, settings)
         (photo1, photo2), (features1, features2) = of_settings[settings].photographs, of_settings[settings].features
@@ -92,7 +92,7 @@ def match_detected(found: DetectedPair, inputs: Sequence[str]) -> PairMatches:
     return PairMatches(sets=sets, features=features, pixel_factors=found.pixel_factors)
 
 
-def _detection(name: str) -> FeatureSettings:
+def detection_of(name: str) -> FeatureSettings:
     """Return how the features of an input are found; how their descriptors are normalised is another matter."""
     preset = "paper" if name == "paper-standard" else name if name in PRESETS else PREPROCESSED
     return replace(find_preset(preset).features, root=True, centred=True)

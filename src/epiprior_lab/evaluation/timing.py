@@ -37,7 +37,7 @@ def time_pair(
     found: dict[tuple[str, int, str], tuple[TimingRecord, FundamentalEstimate]] = {}
     for name in (name for name in protocol.all_inputs if name in inputs.INPUTS):
         start = time.perf_counter()
-        detected = detect_pair(pair)
+        detected = detect_pair(pair, inputs.detection_of(name))
         middle = time.perf_counter()
         matches = inputs.match_pair(pair, (name,), detected=detected)
         features, matching = middle - start, time.perf_counter() - middle

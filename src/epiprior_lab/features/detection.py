@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from epiprior.features.detect import detect_features
 from epiprior.features.images import Photograph, View, load_photograph
+from epiprior.kernels.parallel import in_threads
 from epiprior.presets import DEFAULT, FeatureSettings
 from epiprior.types import Features
 from epiprior_lab.pairsets import Pair
@@ -15,6 +16,7 @@ class DetectedPair:
 
     photographs: tuple[Photograph, Photograph]
     features: tuple[Features, Features]
+    settings: FeatureSettings  # by which the features were found
 
     @property
     def pixel_factors(self) -> tuple[float, float]:
@@ -30,5 +32,5 @@ def detect_pair(pair: Pair, settings: FeatureSettings = DEFAULT.features) -> Det
 def detect_images(image1: View, image2: View, settings: FeatureSettings = DEFAULT.features) -> DetectedPair:
     """Find the features of two images."""
     photo1, photo2 = (load_photograph(image, settings.max_image_size) for image in (image1, image2))
-    features = detect_features(photo1, settings), detect_features(photo2, settings)
-    return DetectedPair(photographs=(photo1, photo2), features=features)
+    first, second = in_threads(lambda photo: detect_features(photo, settings), (photo1, photo2))
+    return DetectedPair(photographs=(photo1, photo2), features=(first, second), settings=settings)

@@ -1,5 +1,6 @@
 """One look for all figures: colours that colour-blind readers tell apart, quiet axes, stable bytes."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -55,7 +56,8 @@ def legend(figure: Figure, looks: Sequence[Look], *, markers: bool = False, more
         for one in looks
     ]
     handles += more
-    rows = -(-len(handles) // 7)  # more do not fit side by side
+    width = sum(0.7 + 0.062 * len(str(handle.get_label())) for handle in handles)  # inches, side by side
+    rows = math.ceil(width / figure.get_figwidth())
     figure.legend(handles=handles, loc="outside upper center", ncols=-(-len(handles) // rows), handlelength=2.6)
 
 
