@@ -5,8 +5,9 @@ import numpy as np
 from epiprior_lab.pairsets import Camera
 from epiprior_lab.scenes import SceneError
 from epiprior_lab.scenes.camera_pairs import draw_camera_pair
-from epiprior_lab.scenes.photography import draw_photograph, encode_jpeg, take
-from epiprior_lab.scenes.places import FACADE_TEXELS_PER_M, draw_house_style, draw_street
+from epiprior_lab.scenes.facades import HouseStyle
+from epiprior_lab.scenes.photography import encode_jpeg, take
+from epiprior_lab.scenes.places import FACADE_TEXELS_PER_M, draw_street
 from epiprior_lab.scenes.render import cast_shadows, draw_light, render_image
 from epiprior_lab.scenes.settings import FAMILIES
 from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW
@@ -24,7 +25,7 @@ def render_house(
     if a dozen streets in a row offer no such views.
     """
     settings = FAMILIES[family]
-    style = draw_house_style(np.random.default_rng(style_seed), settings, FACADE_TEXELS_PER_M)
+    style = HouseStyle(np.random.default_rng(style_seed), settings, FACADE_TEXELS_PER_M)
     for attempt in np.random.SeedSequence(seed).spawn(_STREETS):
         rng = np.random.default_rng(attempt)
         world, subject = draw_street(rng, settings, style)
@@ -36,7 +37,7 @@ def render_house(
         for number, camera in enumerate(cameras):
             view = (FIRST_VIEW, SECOND_VIEW)[number % 2]
             shadows = cast_shadows(world, light, subject.frame.foot, view=view)
-            seen = take(render_image(world, camera, light, shadows, view=view), draw_photograph(rng), rng)
+            seen = take(render_image(world, camera, light, shadows, view=view), rng)
             photographs.append((encode_jpeg(seen, jpeg_quality), camera))
         return photographs
     raise SceneError(f"{name}: no {pairs} pairs of views within the bounds of {family!r} in {_STREETS} streets")

@@ -16,11 +16,14 @@ from scipy.spatial.transform import Rotation
 from epiprior.errors import SettingsError
 from epiprior.geometry import MIN_MATCHES, as_points, eight_point, normalise_fundamental, sampson_distance
 from epiprior.types import BoolArray, Float32Array, FloatArray
-from epiprior_lab.pairsets import Camera, DatasetError, Pair, covisible, depth_at, reproject, transfer
+from epiprior_lab.pairsets import DatasetError, Pair, covisible, depth_at, reproject, transfer
+from epiprior_lab.pairsets.cameras import Cameras, DepthMaps
 from epiprior_lab.params import TruthParams
 
 _RIM_REACH_PX = (1.0, 4.0)
 _RIM_BEND = 0.1
+
+_PerImage = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +94,7 @@ def _near(H: FloatArray, x: FloatArray, wanted: FloatArray, scale: FloatArray, s
 
 
 def _confirmed(
-    cameras: tuple[Camera, Camera],
-    depths: tuple[Float32Array, Float32Array],
-    x: tuple[FloatArray, FloatArray],
-    scales: tuple[FloatArray, FloatArray],
-    settings: LabelSettings,
+    cameras: Cameras, depths: DepthMaps, x: _PerImage, scales: _PerImage, settings: LabelSettings
 ) -> BoolArray:
     """Return where a depth of the first image near ``x[0]`` leads to ``x[1]``, at a depth seen there."""
     tolerance = np.maximum(settings.tolerance_px, settings.tolerance_sigma * scales[1])
@@ -173,9 +172,7 @@ def errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
     return sampson_distance(F, x1, x2)
 
 
-def control_points_from_depth(
-    cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array], *, count: int, seed: int
-) -> tuple[FloatArray, FloatArray]:
+def control_points_from_depth(cameras: Cameras, depths: DepthMaps, *, count: int, seed: int) -> _PerImage:
     """Return `count` matched points, spread evenly over all that both images see; fewer where fewer pixels are common.
 
     They are (N, 2): pixel centres of image 1, drawn within grid cells, and exactly where depth puts them in image 2.

@@ -13,6 +13,7 @@ from epiprior.types import BoolArray, Float32Array, FloatArray
 
 _ROTATION_TOLERANCE = 1e-3  # files carry six digits
 _SMOOTH_RATIO = 1.3
+_DEPTH_TOLERANCE = 0.02  # relative
 
 
 class CameraError(EpipriorError, ValueError):
@@ -65,6 +66,10 @@ class Camera:
         homogeneous = seen @ self.K.T
         safe = np.where(depth > 0, depth, np.nan)
         return homogeneous[:, :2] / safe[:, None], depth
+
+
+Cameras = tuple[Camera, Camera]
+DepthMaps = tuple[Float32Array, Float32Array]
 
 
 def reproject(camera1: Camera, camera2: Camera, x1: FloatArray, depth1: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -126,35 +131,27 @@ def depth_at(depth: Float32Array, x: FloatArray) -> FloatArray:
     return values
 
 
-def covisible(
-    cameras: tuple[Camera, Camera],
-    depths: tuple[Float32Array, Float32Array],
-    *,
-    step: int = 1,
-    depth_tolerance: float = 0.02,
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+def covisible(cameras: Cameras, depths: DepthMaps, *, step: int = 1) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return pixels `x1` (N, 2) with a depth in the first image, their reprojections `x2`, and which are visible there.
 
-    Every `step`-th row and column of image 1 is looked at. A point is visible where the relative difference between its
-    depth and that of image 2 is below `depth_tolerance`.
+    Every `step`-th row and column of image 1 is looked at. A point is visible where its depth differs from that of
+    image 2 by less than 2 %.
     """
     rows, columns = np.nonzero(np.isfinite(depths[0][::step, ::step]))
     x1 = step * np.column_stack([columns, rows]).astype(np.float64)
     x2, predicted = reproject(*cameras, x1, depth_at(depths[0], x1))
-    visible = (predicted > 0) & (np.abs(depth_at(depths[1], x2) - predicted) < depth_tolerance * np.abs(predicted))
+    visible = (predicted > 0) & (np.abs(depth_at(depths[1], x2) - predicted) < _DEPTH_TOLERANCE * np.abs(predicted))
     return x1, x2, visible
 
 
-def median_angle_deg(cameras: tuple[Camera, Camera], points: FloatArray) -> float:
+def median_angle_deg(cameras: Cameras, points: FloatArray) -> float:
     """Return the median angle between the rays of two cameras to points (N, 3), degrees."""
     rays = [points - camera.centre for camera in cameras]
     cosine = (rays[0] * rays[1]).sum(axis=1) / np.prod([np.linalg.norm(ray, axis=1) for ray in rays], axis=0)
     return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
 
 
-def view_difference(
-    cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array], *, step: int = 4
-) -> ViewDifference:
+def view_difference(cameras: Cameras, depths: DepthMaps, *, step: int = 4) -> ViewDifference:
     """Return how two views differ, by every `step`-th row and column; angle and scale are NaN without common points."""
     x1, _, visible = covisible(cameras, depths, step=step)
     visible_back = covisible(cameras[::-1], depths[::-1], step=step)[2]

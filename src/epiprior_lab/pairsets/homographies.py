@@ -35,9 +35,9 @@ def transfer_distance(H: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArr
     return np.asarray(np.nan_to_num(np.maximum(forward, backward), nan=np.inf))
 
 
-def grid_in_both(H: FloatArray, size1: tuple[int, int], size2: tuple[int, int], *, steps: int = 12) -> FloatArray:
+def grid_in_both(H: FloatArray, size1: tuple[int, int], size2: tuple[int, int]) -> FloatArray:
     """Return those points (N, 2) of a grid over image 1 that `H` takes into image 2; sizes are (width, height)."""
-    x, y = (axis.ravel() for axis in np.meshgrid(*((np.arange(steps) + 0.5) / steps * side - 0.5 for side in size1)))
+    x, y = (axis.ravel() for axis in np.meshgrid(*((np.arange(12) + 0.5) / 12 * side - 0.5 for side in size1)))
     x1 = np.column_stack([x, y])
     # One sign of the third coordinate is in front; the middle of image 1 decides which.
     front = np.sign(H[2] @ [(size1[0] - 1) / 2, (size1[1] - 1) / 2, 1.0])

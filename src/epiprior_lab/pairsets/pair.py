@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from epiprior.geometry import normalise_fundamental
-from epiprior.types import Float32Array, FloatArray
-from epiprior_lab.pairsets.cameras import Camera, fundamental_from_cameras
+from epiprior.types import FloatArray
+from epiprior_lab.pairsets.cameras import Camera, Cameras, DepthMaps, fundamental_from_cameras
 from epiprior_lab.pairsets.files import DatasetError, image_size, read_control_points, read_depth, read_matrix
 from epiprior_lab.pairsets.homographies import normalise_homography
 
@@ -78,7 +78,7 @@ class Pair:
             raise DatasetError(f"{self.homography_path}: the matrix is singular")
         return H
 
-    def depths(self) -> tuple[Float32Array, Float32Array] | None:
+    def depths(self) -> DepthMaps | None:
         """Return both depth maps, inf where nothing is, or None; DatasetError if damaged or of wrong size."""
         if self.depth_paths is None:
             return None
@@ -90,7 +90,7 @@ class Pair:
             depths.append(depth)
         return depths[0], depths[1]
 
-    def depth_views(self) -> tuple[tuple[Camera, Camera], tuple[Float32Array, Float32Array]]:
+    def depth_views(self) -> tuple[Cameras, DepthMaps]:
         """Return both cameras and both depth maps; DatasetError where one is missing or damaged."""
         depths = self.depths()
         if depths is None or self.camera1 is None or self.camera2 is None:

@@ -4,43 +4,39 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 
 from epiprior.types import FloatArray
 from epiprior_lab.scenes.details import poster
-from epiprior_lab.scenes.materials import Colour, foliage, jittered, wall, wall_style
-from epiprior_lab.scenes.textures import PICTURES, SURFACES, crop, letters, noise, print_line, surface, tinted
-from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, Image, Vector, WorldBuilder, box, upright
+from epiprior_lab.scenes.materials import WallStyle, foliage, jittered, wall
+from epiprior_lab.scenes.textures import DUPLEX, PICTURES, SURFACES, Colour, crop, letters, noise, surface, tinted
+from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, Image, Span, Vector, WorldBuilder, box, upright
 
-Placer = Callable[[WorldBuilder, np.random.Generator, Vector, int], None]
+Placers = tuple[Callable[[WorldBuilder, Generator, Vector], None], ...]
 
 
-def random_frame(rng: np.random.Generator, position: Vector) -> Frame:
+def random_frame(rng: Generator, position: Vector) -> Frame:
     """Return a frame at a position, turned at random."""
     return Frame.facing(position, float(rng.uniform(0, 360)))
 
 
 def scatter(
-    world: WorldBuilder,
-    rng: np.random.Generator,
-    placers: tuple[Placer, ...],
-    *,
-    count: int,
-    across: tuple[float, float],
-    before: tuple[float, float],
-    view: int,
+    world: WorldBuilder, rng: Generator, placers: Placers, count: int, across: Span, before: Span, view: int
 ) -> None:
     """Add `count` random things for one view or both within `across` (along the subject) and `before` it, metres."""
+    world.views = view
     for _ in range(count):
         position = float(rng.uniform(*across)), 0.0, -float(rng.uniform(*before))
-        placers[int(rng.integers(len(placers)))](world, rng, position, view)
+        placers[int(rng.integers(len(placers)))](world, rng, position)
+    world.views = BOTH_VIEWS
 
 
-def add_tree(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_tree(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a trunk and a crown of crossing sheets of leaves."""
     height, crown = float(rng.uniform(3.0, 6.5)), float(rng.uniform(1.6, 3.2))
     bark = world.texture(tinted((92, 78, 62), 0.25 * surface(rng, 256, 48, ("gravel", "tissue"), zoom=0.7)))
     frame = random_frame(rng, position)
-    box(world, frame, (-0.13, 0.13), (0.0, height - 0.3 * crown), (-0.13, 0.13), textures=bark, views=views)
+    box(world, frame, (-0.13, 0.13), (0.0, height - 0.3 * crown), (-0.13, 0.13), textures=bark)
     leaves = [world.texture(foliage(rng, 224)) for _ in range(2)]
     for k in range(7):
         sheet = random_frame(rng, frame.point(*rng.uniform(-0.22, 0.22, size=3) * crown))
@@ -48,32 +44,25 @@ def add_tree(world: WorldBuilder, rng: np.random.Generator, position: Vector, vi
         middle = height + float(rng.uniform(-0.15, 0.15)) * crown
         across, down = 2 * half * sheet.right, np.array([0.0, 2 * half, 0.0])
         down = down + rng.uniform(-0.5, 0.5) * half * sheet.outward
-        world.face(sheet.point(-half, middle + half), across, down, leaves[k % 2], views=views)
+        world.face(sheet.point(-half, middle + half), across, down, leaves[k % 2])
 
 
-def add_lamp(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_lamp(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a lamp post, with a sign on some."""
     metal = world.texture(tinted(jittered(rng, (84, 88, 88), 0.4), 0.08 * noise(rng, 256, 16, "middle")))
     frame, height = random_frame(rng, position), float(rng.uniform(3.0, 6.0))
-    box(world, frame, (-0.06, 0.06), (0.0, height), (-0.06, 0.06), textures=metal, views=views)
-    box(world, frame, (-0.1, 0.5), (height, height + 0.2), (-0.12, 0.12), textures=metal, views=views)
+    box(world, frame, (-0.06, 0.06), (0.0, height), (-0.06, 0.06), textures=metal)
+    box(world, frame, (-0.1, 0.5), (height, height + 0.2), (-0.12, 0.12), textures=metal)
     if rng.random() < 0.6:
-        sign = world.texture(_board(rng, 64, 96))
-        box(world, frame, (-0.4, 0.4), (2.2, 2.75), (0.07, 0.1), textures=sign, views=views)
+        sign = np.full((64, 96, 3), jittered(rng, (130, 120, 110), 0.8), dtype=np.uint8)
+        ink = (24, 24, 28) if sign.mean() > 110 else (238, 234, 220)
+        for y in (21, 42, 63):
+            cv2.putText(sign, letters(rng, 9), (4, y), DUPLEX, 64 / 110, ink, 1, cv2.LINE_AA)
+        cv2.rectangle(sign, (0, 0), (95, 63), ink, 2)
+        box(world, frame, (-0.4, 0.4), (2.2, 2.75), (0.07, 0.1), textures=world.texture(sign))
 
 
-def _board(rng: np.random.Generator, height: int, width: int) -> Image:
-    """Return a plate with letters."""
-    image = np.empty((height, width, 3), dtype=np.uint8)
-    image[:] = jittered(rng, (130, 120, 110), 0.8)
-    ink = (24, 24, 28) if image.mean() > 110 else (238, 234, 220)
-    for y in range(height // 3, height, height // 3):
-        print_line(image, letters(rng, 9), (4, y), height / 110, ink, max(1, height // 64))
-    cv2.rectangle(image, (0, 0), (width - 1, height - 1), ink, max(1, height // 24))
-    return image
-
-
-def add_car(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_car(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a car or a van made of boxes; wheels, lights and windows are painted on."""
     colour = jittered(rng, (130, 126, 124), 0.9)
     frame = Frame.facing(position, float(rng.normal(0, 12)))
@@ -82,12 +71,12 @@ def add_car(world: WorldBuilder, rng: np.random.Generator, position: Vector, vie
     side, front = world.texture(_car_side(rng, colour)), world.texture(_car_front(rng, colour))
     glass = world.texture(_car_windows(rng, colour))
     top = world.texture(tinted(colour, 0.03 * noise(rng, 64, 128, "coarse")))
-    box(world, frame, (0.0, length), (0.18, low), (-1.7, 0.0), textures=(side, front, top), views=views)
+    box(world, frame, (0.0, length), (0.18, low), (-1.7, 0.0), textures=(side, front, top))
     start = 0.2 if van else 1.0
-    box(world, frame, (start, length - 0.5), (low, high), (-1.6, -0.1), textures=(glass, glass, top), views=views)
+    box(world, frame, (start, length - 0.5), (low, high), (-1.6, -0.1), textures=(glass, glass, top))
 
 
-def _car_side(rng: np.random.Generator, colour: Colour) -> Image:
+def _car_side(rng: Generator, colour: Colour) -> Image:
     image = tinted(colour, 0.04 * noise(rng, 96, 480, "coarse"))
     for x in (95, 385):
         cv2.circle(image, (x, 74), 40, (22, 22, 24), -1, cv2.LINE_AA)
@@ -101,17 +90,17 @@ def _car_side(rng: np.random.Generator, colour: Colour) -> Image:
     return image
 
 
-def _car_front(rng: np.random.Generator, colour: Colour) -> Image:
+def _car_front(rng: Generator, colour: Colour) -> Image:
     image = tinted(colour, 0.04 * noise(rng, 96, 200, "coarse"))
     cv2.rectangle(image, (60, 20), (140, 44), (30, 30, 32), -1)
     for x in (28, 172):
         cv2.ellipse(image, (x, 32), (20, 12), 0, 0, 360, (232, 230, 214), -1, cv2.LINE_AA)
     cv2.rectangle(image, (66, 58), (134, 78), (236, 234, 224), -1)
-    print_line(image, letters(rng, 6), (70, 74), 0.5, (16, 16, 20), 1)
+    cv2.putText(image, letters(rng, 6), (70, 74), DUPLEX, 0.5, (16, 16, 20), 1, cv2.LINE_AA)
     return image
 
 
-def _car_windows(rng: np.random.Generator, colour: Colour) -> Image:
+def _car_windows(rng: Generator, colour: Colour) -> Image:
     image = np.asarray(crop(rng, 64, 256, PICTURES) // 4 + 18, dtype=np.uint8)
     for x in (0, 120, 248):
         image[:, x : x + 8] = colour
@@ -119,7 +108,7 @@ def _car_windows(rng: np.random.Generator, colour: Colour) -> Image:
     return image
 
 
-def add_person(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_person(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a passer-by: a flat figure, clothed in parts of photographs."""
     image = np.zeros((192, 72, 4), dtype=np.uint8)
     image[..., :3] = crop(rng, 192, 72, PICTURES, part=(0.3, 0.8)) // 2 + np.uint8(20)
@@ -133,10 +122,10 @@ def add_person(world: WorldBuilder, rng: np.random.Generator, position: Vector, 
     image[..., 3] = shape
     frame = Frame.facing(position, float(rng.normal(0, 25)))
     half = 0.34 * float(rng.uniform(0.9, 1.15))
-    upright(world, frame, (-half, half), (0.0, 5.3 * half), 0.0, texture=world.texture(image), views=views)
+    upright(world, frame, (-half, half), (0.0, 5.3 * half), 0.0, texture=world.texture(image))
 
 
-def add_crates(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_crates(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a pile of boxes with pictures on them."""
     frame = random_frame(rng, position)
     bottom, half = 0.0, float(rng.uniform(0.35, 0.9))
@@ -144,41 +133,41 @@ def add_crates(world: WorldBuilder, rng: np.random.Generator, position: Vector, 
         high = float(rng.uniform(0.7, 1.5)) * half
         front, sides, top = (world.texture(_crate_side(rng)) for _ in range(3))
         extent = (-half, half)
-        box(world, frame, extent, (bottom, bottom + high), extent, textures=(front, sides, top), views=views)
+        box(world, frame, extent, (bottom, bottom + high), extent, textures=(front, sides, top))
         bottom += high
         half *= float(rng.uniform(0.6, 0.95))
         frame = random_frame(rng, frame.point(*rng.uniform(-0.15, 0.15, size=2) * [half, 0]))
 
 
-def _crate_side(rng: np.random.Generator) -> Image:
+def _crate_side(rng: Generator) -> Image:
     """Return one side of a box: cardboard, wood, a picture or masonry."""
     if rng.random() < 0.6:
         return poster(rng, 176, 192) if rng.random() < 0.5 else crop(rng, 176, 192, PICTURES, part=(0.5, 1.0))
-    return wall(rng, 176, 192, wall_style(rng, distinct=0.8), texels_per_m=120.0)
+    return wall(rng, 176, 192, WallStyle(rng, distinct=0.8), texels_per_m=120.0)
 
 
-def add_poster_board(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_poster_board(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a board on two posts with a poster on each side."""
     frame = Frame.facing(position, float(rng.uniform(-50, 50)))
     wide, low = float(rng.uniform(0.8, 2.6)), float(rng.uniform(0.3, 1.0))
     high = low + wide * float(rng.uniform(0.6, 1.2))
     post = world.texture(tinted((96, 92, 88), 0.1 * noise(rng, 96, 16, "middle")))
     front = world.texture(poster(rng, int(260 * (high - low) / wide) + 20, 260))
-    box(world, frame, (0.0, wide), (low, high), (-0.06, 0.0), textures=(front, post, post), views=views)
+    box(world, frame, (0.0, wide), (low, high), (-0.06, 0.0), textures=(front, post, post))
     for a in (0.1, wide - 0.2):
-        box(world, frame, (a, a + 0.08), (0.0, low), (-0.06, 0.0), textures=post, views=views)
+        box(world, frame, (a, a + 0.08), (0.0, low), (-0.06, 0.0), textures=post)
 
 
-def add_hedge(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_hedge(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a clipped hedge."""
     relief = 0.3 * surface(rng, 128, 384, ("grass", "gravel"), zoom=0.6) + 0.2 * noise(rng, 128, 384, "middle")
     leaves = world.texture(tinted(jittered(rng, (74, 96, 48), 0.25), relief))
     frame = Frame.facing(position, float(rng.normal(0, 20)))
     length, high = float(rng.uniform(1.5, 5)), float(rng.uniform(0.5, 1.3))
-    box(world, frame, (0.0, length), (0.0, high), (-0.6, 0.0), textures=leaves, views=views)
+    box(world, frame, (0.0, length), (0.0, high), (-0.6, 0.0), textures=leaves)
 
 
-def add_fence(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_fence(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a fence of equal bars."""
     image = np.zeros((96, 96, 4), dtype=np.uint8)
     colour = (*jittered(rng, (110, 96, 80), 0.5), 255)
@@ -188,10 +177,10 @@ def add_fence(world: WorldBuilder, rng: np.random.Generator, position: Vector, v
     image[..., :3] = np.clip(image[..., :3] * (1 + 0.1 * noise(rng, 96, 96, "fine"))[..., None], 0, 255)
     frame, length = Frame.facing(position, float(rng.normal(0, 25))), float(rng.uniform(2.5, 6.0))
     area = (0.0, 0.0, length, 1.0)
-    upright(world, frame, (0.0, length), (0.0, 1.0), 0.0, texture=world.texture(image), area=area, views=views)
+    upright(world, frame, (0.0, length), (0.0, 1.0), 0.0, texture=world.texture(image), area=area)
 
 
-def add_rock(world: WorldBuilder, rng: np.random.Generator, position: Vector, views: int = BOTH_VIEWS) -> None:
+def add_rock(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a rock or statue: a bumpy ball of triangles, on a pedestal at times."""
     radius = float(rng.uniform(0.35, 0.9))
     relief = 0.22 * surface(rng, 256, 512, SURFACES, zoom=float(rng.uniform(0.6, 1.5)))
@@ -200,9 +189,9 @@ def add_rock(world: WorldBuilder, rng: np.random.Generator, position: Vector, vi
     frame, base = random_frame(rng, position), 0.0
     if rng.random() < 0.5:
         base = float(rng.uniform(0.5, 1.4))
-        plinth = world.texture(wall(rng, 128, 160, wall_style(rng, distinct=0.6), texels_per_m=100.0))
+        plinth = world.texture(wall(rng, 128, 160, WallStyle(rng, distinct=0.6), texels_per_m=100.0))
         square = (-0.8 * radius, 0.8 * radius)
-        box(world, frame, square, (0.0, base), square, textures=plinth, views=views)
+        box(world, frame, square, (0.0, base), square, textures=plinth)
     points = _bumpy_ball(rng, radius, stretch=float(rng.uniform(0.8, 1.8)))
     centre = frame.point(0.0, base + 0.8 * radius)
     rows, columns = points.shape[0] - 1, points.shape[1] - 1
@@ -216,10 +205,10 @@ def add_rock(world: WorldBuilder, rng: np.random.Generator, position: Vector, vi
                 ((p[0, 0], p[0, 1], p[1, 0]), upper),
                 ((p[1, 1], p[1, 0], p[0, 1]), lower),
             ):
-                world.face(here, right - here, left - here, texture, texture_frame=part, triangle=True, views=views)
+                world.face(here, right - here, left - here, texture, texture_frame=part, triangle=True)
 
 
-def _bumpy_ball(rng: np.random.Generator, radius: float, *, stretch: float) -> FloatArray:
+def _bumpy_ball(rng: Generator, radius: float, *, stretch: float) -> FloatArray:
     """Return points on a ball with dents, shape (13, 21, 3): from the top down, and around as seen from outside."""
     rows, columns = 12, 20
     bumps = cv2.GaussianBlur(rng.standard_normal((rows + 1, columns)), (0, 0), 0.8, borderType=cv2.BORDER_REFLECT)
@@ -233,9 +222,9 @@ def _bumpy_ball(rng: np.random.Generator, radius: float, *, stretch: float) -> F
     return np.asarray(radius * bumps[..., None] * np.stack([x, y, z], axis=-1))
 
 
-FURNITURE: tuple[Placer, ...] = (
+FURNITURE: Placers = (
     add_tree, add_lamp, add_car, add_crates, add_poster_board, add_hedge, add_fence, add_rock,
 )  # fmt: skip
 """What stands in the street or garden in both views."""
-PASSING: tuple[Placer, ...] = (add_person, add_person, add_car, add_tree, add_poster_board)
+PASSING: Placers = (add_person, add_person, add_car, add_tree, add_poster_board)
 """What may stand in one view only."""

@@ -4,15 +4,14 @@ import cv2
 import numpy as np
 
 from epiprior_lab.scenes.materials import jittered
-from epiprior_lab.scenes.textures import PICTURES, crop, letters, noise, print_line
+from epiprior_lab.scenes.textures import DUPLEX, PICTURES, crop, letters, noise
 from epiprior_lab.scenes.windows import paste
 from epiprior_lab.scenes.world import Image
 
 
 def poster(rng: np.random.Generator, height: int, width: int) -> Image:
     """Return a poster: a picture, a border and lines of text, shape (height, width, 3)."""
-    image = np.empty((height, width, 3), dtype=np.uint8)
-    image[:] = jittered(rng, (206, 196, 176), 0.3)
+    image = np.full((height, width, 3), jittered(rng, (206, 196, 176), 0.3), dtype=np.uint8)
     margin = max(2, min(height, width) // 18)
     bottom = int(height * rng.uniform(0.6, 0.95)) - margin
     picture = crop(rng, max(1, bottom - margin), max(1, width - 2 * margin), PICTURES)
@@ -20,7 +19,7 @@ def poster(rng: np.random.Generator, height: int, width: int) -> Image:
     ink = tuple(int(c) for c in rng.integers(10, 90, size=3))
     size = max(0.3, width / 260)
     for y in range(bottom + int(22 * size), height - margin, max(4, int(26 * size))):
-        print_line(image, letters(rng, 14), (margin, y), size, ink, max(1, int(size * 1.6)))
+        cv2.putText(image, letters(rng, 14), (margin, y), DUPLEX, size, ink, max(1, int(size * 1.6)), cv2.LINE_AA)
     return image
 
 
@@ -40,12 +39,12 @@ def _poster(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float)
 
 def _sign(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -> None:
     height = int(rng.uniform(0.2, 0.5) * scale)
-    sign = np.empty((height, int(height * rng.uniform(2, 6)), 3), dtype=np.uint8)
-    sign[:] = jittered(rng, (120, 110, 100), 0.7)
+    width = int(height * rng.uniform(2, 6))
+    sign = np.full((height, width, 3), jittered(rng, (120, 110, 100), 0.7), dtype=np.uint8)
     ink = (20, 20, 24) if sign.mean() > 110 else (236, 232, 214)
     at, triplex = (4, int(0.75 * height)), cv2.FONT_HERSHEY_TRIPLEX
-    print_line(sign, letters(rng, 10), at, height / 40, ink, max(1, height // 18), font=triplex)
-    cv2.rectangle(sign, (0, 0), (sign.shape[1] - 1, height - 1), ink, max(1, height // 16))
+    cv2.putText(sign, letters(rng, 10), at, triplex, height / 40, ink, max(1, height // 18), cv2.LINE_AA)
+    cv2.rectangle(sign, (0, 0), (width - 1, height - 1), ink, max(1, height // 16))
     paste(wall, sign, x, y)
 
 

@@ -1,77 +1,57 @@
 """Houses: walls with recessed windows, sills, cornices, balconies, pipes, roofs."""
 
-from dataclasses import dataclass, replace
+import copy
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 
 from epiprior_lab.scenes.details import paint_details, poster
-from epiprior_lab.scenes.materials import Colour, WallStyle, foliage, jittered, roof, wall, wall_style
-from epiprior_lab.scenes.textures import noise, tinted
-from epiprior_lab.scenes.windows import WindowStyle, carved_lintel, door, draw_panes, draw_trim, window_style
-from epiprior_lab.scenes.world import Frame, Image, WorldBuilder, box, upright
+from epiprior_lab.scenes.materials import WallStyle, foliage, jittered, ornament, roof, wall
+from epiprior_lab.scenes.settings import FamilySettings
+from epiprior_lab.scenes.textures import Colour, noise, tinted
+from epiprior_lab.scenes.windows import WindowStyle, door, draw_panes, draw_trim
+from epiprior_lab.scenes.world import Frame, Image, Span, WorldBuilder, box, upright
 
 _CORNICE_REPEAT_M = 2.0
 Opening = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, kw_only=True)
 class HouseStyle:
-    """What the walls of a house have in common.
+    """What the walls of a house of a family have in common.
 
     Windows are `storey_m` and `bay_m` from each other, and `recess_m` deep in the wall, metres; `balconies` is the
     share of the windows that have one, `details` the number of single things (posters, stains, ...) per square metre.
     """
 
-    wall: WallStyle
-    window: WindowStyle
-    storey_m: float
-    bay_m: float
-    recess_m: float
-    balconies: float
-    cornices: bool
-    details: float
-    texels_per_m: float
-
-
-def house_style(rng: np.random.Generator, *, distinct: float, variety: float, texels_per_m: float) -> HouseStyle:
-    """Draw a house; `distinct` walls and `variety` of windows, in [0, 1], help to tell places apart."""
-    walls = wall_style(rng, distinct=distinct)
-    window = window_style(rng, walls.colour, variety=variety)
-    gap = (1.1 if window.shutters else 0.45) * window.width_m
-    return HouseStyle(
-        wall=walls,
-        window=window,
-        storey_m=window.height_m + float(rng.uniform(0.8, 1.4)),
-        bay_m=window.width_m + gap + float(rng.uniform(0.1, 0.7)),
-        recess_m=float(rng.uniform(0.10, 0.35)),
-        balconies=float(rng.choice((0.0, 0.0, 0.2, 0.4, 0.7))),
-        cornices=bool(rng.random() < 0.6),
-        details=float(rng.uniform(0.01, 0.03) + 0.10 * distinct**1.5),
-        texels_per_m=texels_per_m,
-    )
+    def __init__(self, rng: Generator, settings: FamilySettings, texels_per_m: float) -> None:
+        distinct, variety = float(rng.uniform(*settings.distinct)), float(rng.uniform(*settings.variety))
+        self.wall = WallStyle(rng, distinct=distinct)
+        self.window = WindowStyle(rng, self.wall.colour, variety=variety)
+        gap = (1.1 if self.window.shutters else 0.45) * self.window.width_m
+        self.storey_m = self.window.height_m + float(rng.uniform(0.8, 1.4))
+        self.bay_m = self.window.width_m + gap + float(rng.uniform(0.1, 0.7))
+        self.recess_m = float(rng.uniform(0.10, 0.35))
+        self.balconies = float(rng.choice((0.0, 0.0, 0.2, 0.4, 0.7)))
+        self.cornices = bool(rng.random() < 0.6)
+        self.details = float(rng.uniform(0.01, 0.03) + 0.10 * distinct**1.5)
+        self.texels_per_m = texels_per_m
 
 
 def add_house(
-    world: WorldBuilder,
-    rng: np.random.Generator,
-    frame: Frame,
-    style: HouseStyle,
-    *,
-    width: float,
-    height: float,
-    depth: float,
+    world: WorldBuilder, rng: Generator, frame: Frame, style: HouseStyle, *, width: float, height: float, depth: float
 ) -> None:
     """Add a house whose front stands on `frame`: front, both sides, and a roof."""
     add_facade(world, rng, frame, style, width=width, height=height)
-    simple = replace(style, details=style.details / 2, texels_per_m=0.6 * style.texels_per_m)
+    simple = copy.copy(style)
+    simple.details, simple.texels_per_m = style.details / 2, 0.6 * style.texels_per_m
     add_facade(world, rng, frame.side(width), simple, width=depth, height=height)
     add_facade(world, rng, frame.left_side(-depth), simple, width=depth, height=height)
     _add_roof(world, rng, frame, width=width, height=height, depth=depth)
 
 
 def add_facade(
-    world: WorldBuilder, rng: np.random.Generator, frame: Frame, style: HouseStyle, *, width: float, height: float
+    world: WorldBuilder, rng: Generator, frame: Frame, style: HouseStyle, *, width: float, height: float
 ) -> None:
     """Add one wall with everything on it."""
     scale = style.texels_per_m
@@ -80,37 +60,37 @@ def add_facade(
     outside[..., :3] = wall(rng, rows, columns, style.wall, texels_per_m=scale)
     inside = np.full((rows, columns, 4), 255, dtype=np.uint8)
     windows, entrances = _openings(rng, style, width=width, height=height)
-    carving = carved_lintel(rng, style.window, texels_per_m=scale)
-    for opening in windows:
-        left, top, right, bottom = _texels(opening, height, scale)
+    openings = [*windows, *entrances]
+    areas = [
+        (round(a0 * scale), round((height - b1) * scale), round(a1 * scale), round((height - b0) * scale))
+        for a0, b0, a1, b1 in openings
+    ]
+    trim, carving = style.window.trim_colour, None
+    if style.window.lintel == "carved":
+        carving = ornament(rng, int(0.42 * scale), int((style.window.width_m + 0.2) * scale), trim)
+    for left, top, right, bottom in areas[: len(windows)]:
         draw_panes(rng, inside[top:bottom, left:right], style.window, texels_per_m=scale)
-        draw_trim(rng, outside, (left, top, right, bottom), style.window, carving, texels_per_m=scale)
-    for opening in entrances:
-        left, top, right, bottom = _texels(opening, height, scale)
+        draw_trim(rng, outside, (left, top, right, bottom), style.window, carving, scale)
+    for left, top, right, bottom in areas[len(windows) :]:
         inside[top:bottom, left:right] = door(rng, bottom - top, right - left)
-        cv2.rectangle(outside, (left - 4, top - 4), (right + 3, bottom), (*style.window.trim_colour, 255), 8)
+        cv2.rectangle(outside, (left - 4, top - 4), (right + 3, bottom), (*trim, 255), 8)
     paint_details(rng, outside, count=int(style.details * width * height), texels_per_m=scale)
-    for opening in (*windows, *entrances):
-        left, top, right, bottom = _texels(opening, height, scale)
+    for left, top, right, bottom in areas:
         outside[top:bottom, left:right, 3] = 0
     front, behind = world.texture(outside), world.texture(inside)
     upright(world, frame, (0.0, width), (0.0, height), 0.0, texture=front)
     upright(world, frame, (0.0, width), (0.0, height), -style.recess_m, texture=behind, mirror=0.45)
-    stone = world.texture(_stone(rng, style.window.trim_colour))
-    for opening in (*windows, *entrances):
-        _add_reveals(world, frame, opening, style.recess_m, stone)
-    _add_relief(world, rng, frame, style, windows=windows, stone=stone, width=width, height=height)
+    stone = world.texture(_stone(rng, trim))
+    for a0, b0, a1, b1 in openings:  # the four faces between the wall and a recessed window
+        down, inward, wide = np.array([0.0, b1 - b0, 0.0]), -style.recess_m * frame.outward, (a1 - a0) * frame.right
+        world.face(frame.point(a0, b1), inward, down, stone)
+        world.face(frame.point(a1, b1, -style.recess_m), -inward, down, stone)
+        world.face(frame.point(a0, b0, -style.recess_m), wide, -inward, stone)
+        world.face(frame.point(a0, b1), wide, inward, stone, brightness=0.8)
+    _add_relief(world, rng, frame, style, windows, stone, (width, height))
 
 
-def _texels(opening: Opening, height: float, scale: float) -> tuple[int, int, int, int]:
-    """Return an opening (a0, b0, a1, b1) in metres as (left, top, right, bottom) in texels."""
-    a0, b0, a1, b1 = opening
-    return round(a0 * scale), round((height - b1) * scale), round(a1 * scale), round((height - b0) * scale)
-
-
-def _openings(
-    rng: np.random.Generator, style: HouseStyle, *, width: float, height: float
-) -> tuple[list[Opening], list[Opening]]:
+def _openings(rng: Generator, style: HouseStyle, *, width: float, height: float) -> tuple[list[Opening], list[Opening]]:
     """Return windows and entrances (a0, b0, a1, b1): a grid with gaps, doors and shops at its foot."""
     window = style.window
     bays, storeys = int((width - 0.4) // style.bay_m), max(1, int((height - 0.5) // style.storey_m))
@@ -132,32 +112,15 @@ def _openings(
     return windows, entrances
 
 
-def _add_reveals(world: WorldBuilder, frame: Frame, opening: Opening, recess: float, texture: int) -> None:
-    """Add the four faces between the wall and a recessed window."""
-    a0, b0, a1, b1 = opening
-    down, inward, wide = np.array([0.0, b1 - b0, 0.0]), -recess * frame.outward, (a1 - a0) * frame.right
-    world.face(frame.point(a0, b1), inward, down, texture)
-    world.face(frame.point(a1, b1, -recess), -inward, down, texture)
-    world.face(frame.point(a0, b0, -recess), wide, -inward, texture)
-    world.face(frame.point(a0, b1), wide, inward, texture, brightness=0.8)
-
-
-def _stone(rng: np.random.Generator, colour: Colour) -> Image:
+def _stone(rng: Generator, colour: Colour) -> Image:
     return tinted(colour, 0.06 * noise(rng, 64, 128, "fine") + 0.05 * noise(rng, 64, 128, "middle"))
 
 
 def _add_relief(
-    world: WorldBuilder,
-    rng: np.random.Generator,
-    frame: Frame,
-    style: HouseStyle,
-    *,
-    windows: list[Opening],
-    stone: int,
-    width: float,
-    height: float,
+    world: WorldBuilder, rng: Generator, frame: Frame, style: HouseStyle, windows: list[Opening], stone: int, size: Span
 ) -> None:
     """Add what stands out from the wall: sills, balconies, flower boxes, coolers, cornices, pipes, signs."""
+    width, height = size
     rail = world.texture(_railing(rng, style))
     plants = world.texture(foliage(rng, 96))
     metal = world.texture(_stone(rng, jittered(rng, (150, 152, 154), 0.25)))
@@ -182,13 +145,13 @@ def _add_relief(
     for _ in range(int(rng.integers(0, 3))):
         a = float(rng.uniform(0.05, 0.95) * width)
         box(world, frame, (a, a + 0.11), (0.0, height), (0.02, 0.13), textures=metal)
-    if width * height > 60:
+    if width * height > 60:  # a sign
         picture = world.texture(poster(rng, 160, 120))
         a, b = float(rng.uniform(0.1, 0.9) * width), float(rng.uniform(1.0, 3.5))
         box(world, frame, (a, a + 0.1), (b, b + 1.0), (0.15, 0.95), textures=(metal, picture, metal))
 
 
-def _add_balcony(world: WorldBuilder, frame: Frame, a: tuple[float, float], b: float, *, stone: int, rail: int) -> None:
+def _add_balcony(world: WorldBuilder, frame: Frame, a: Span, b: float, *, stone: int, rail: int) -> None:
     """Add a slab with a railing on three sides."""
     far = 0.9
     box(world, frame, a, (b - 0.15, b), (0.0, far), textures=stone)
@@ -197,7 +160,7 @@ def _add_balcony(world: WorldBuilder, frame: Frame, a: tuple[float, float], b: f
         upright(world, side, (0.0, far), (b, b + 0.95), 0.0, texture=rail, area=(0.0, 0.0, far, 1.0))
 
 
-def _railing(rng: np.random.Generator, style: HouseStyle) -> Image:
+def _railing(rng: Generator, style: HouseStyle) -> Image:
     """Return a metre of railing, shape (96, 96, 4): bars, crosses, balusters or a plate."""
     image = np.zeros((96, 96, 4), dtype=np.uint8)
     dark = (*jittered(rng, (52, 52, 54), 0.4), 255)
@@ -218,7 +181,7 @@ def _railing(rng: np.random.Generator, style: HouseStyle) -> Image:
     return image
 
 
-def _moulding(rng: np.random.Generator, style: HouseStyle) -> Image:
+def _moulding(rng: Generator, style: HouseStyle) -> Image:
     """Return two metres of cornice, shape (32, 160, 3), with or without dentils."""
     image = tinted(style.window.trim_colour, 0.07 * noise(rng, 32, 160, "fine"))
     image[10:12] //= 2
@@ -229,23 +192,18 @@ def _moulding(rng: np.random.Generator, style: HouseStyle) -> Image:
     return image
 
 
-def _add_roof(
-    world: WorldBuilder, rng: np.random.Generator, frame: Frame, *, width: float, height: float, depth: float
-) -> None:
+def _add_roof(world: WorldBuilder, rng: Generator, frame: Frame, *, width: float, height: float, depth: float) -> None:
     rise, eave = float(rng.uniform(0.15, 0.45)) * depth, 0.5
     tiles = world.texture(roof(rng, 384, 512, texels_per_m=40.0))
     area = (0.0, 0.0, max(1.0, width / 12.0), 1.0)
     half = 0.5 * depth
-    slope = np.array([0.0, rise, 0.0]) + half * frame.outward
-    slope *= 1.0 + eave / half
+    front, back = (np.array([0.0, rise, 0.0]) + side * half * frame.outward for side in (1, -1))
     ridge_left, ridge_right = frame.point(0.0, height + rise, -half), frame.point(width, height + rise, -half)
-    world.face(ridge_left, width * frame.right, slope, tiles, area=area)
-    back = np.array([0.0, rise, 0.0]) - half * frame.outward
+    world.face(ridge_left, width * frame.right, front * (1.0 + eave / half), tiles, area=area)
     world.face(ridge_right, -width * frame.right, back, tiles, area=area)
     for ridge in (ridge_left, ridge_right):
-        left, right = np.array([0.0, rise, 0.0]) + half * frame.outward, back
-        world.face(ridge, left, right, tiles, triangle=True)
-    bricks = world.texture(wall(rng, 96, 64, wall_style(rng, distinct=0.5), texels_per_m=64.0))
+        world.face(ridge, front, back, tiles, triangle=True)
+    bricks = world.texture(wall(rng, 96, 64, WallStyle(rng, distinct=0.5), texels_per_m=64.0))
     for _ in range(int(rng.integers(0, 4))):
         a = float(rng.uniform(0.05, 0.9) * width)
         box(world, frame, (a, a + 0.6), (height, height + rise + 0.9), (-half - 0.4, -half + 0.4), textures=bricks)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from epiprior_lab.scenes.photography import draw_photograph, encode_jpeg, take
+from epiprior_lab.scenes.photography import encode_jpeg, take
 from epiprior_lab.scenes.world import Image
 
 Views = tuple[Image, Image]
@@ -40,11 +40,6 @@ def _at_most(image: Image, side: int) -> Image:
     if factor >= 1:
         return image
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _unrelated(first: Image, second: Image, rng: np.random.Generator) -> Views:
-    del rng
-    return first, second
 
 
 def _overlay(first: Image, second: Image, rng: np.random.Generator) -> Views:
@@ -102,7 +97,7 @@ def _homography_views(moves: bool) -> Callable[[Image, Image, np.random.Generato
             plane = np.column_stack([slant[:, 0], slant[:, 1], np.array([0, 0, 1.0]) - centre])
             map_ = K @ R @ plane @ to_plane
             seen = cv2.warpPerspective(first, map_, _SIZE, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REFLECT)
-            views.append(take(np.asarray(seen, np.uint8), draw_photograph(rng), rng))
+            views.append(take(np.asarray(seen, np.uint8), rng))
         return views[0], views[1]
 
     return make
@@ -130,7 +125,7 @@ def _copy(first: Image, second: Image, rng: np.random.Generator) -> Views:
 
 
 _MAKERS: Mapping[str, Callable[[Image, Image, np.random.Generator], Views]] = {
-    "unrelated": _unrelated,
+    "unrelated": lambda first, second, _: (first, second),
     "overlay": _overlay,
     "plane": _homography_views(moves=True),
     "rotation": _homography_views(moves=False),

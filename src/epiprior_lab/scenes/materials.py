@@ -1,19 +1,16 @@
 """Materials: walls, roofs, pavements and foliage as tileable or large images."""
 
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 
 from epiprior.types import Float32Array
-from epiprior_lab.scenes.textures import crop, noise, surface, tinted
-from epiprior_lab.scenes.world import Image
+from epiprior_lab.scenes.textures import Colour, crop, noise, surface, tinted
+from epiprior_lab.scenes.world import Image, Span
 
-Masonry = Literal["brick", "ashlar", "plaster", "tiles", "planks", "rubble"]
-MASONRY: tuple[Masonry, ...] = ("brick", "ashlar", "plaster", "tiles", "planks", "rubble")
-Colour = tuple[float, float, float]
+MASONRY = ("brick", "ashlar", "plaster", "tiles", "planks", "rubble")
 
 WALL_COLOURS: tuple[Colour, ...] = (
     (190, 176, 152), (156, 96, 76), (140, 82, 66), (182, 182, 176), (206, 194, 158), (190, 152, 130),
@@ -32,58 +29,38 @@ _COURSES: dict[str, tuple[tuple[float, float], tuple[float, float], float, float
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class WallStyle:
-    """What a wall is made of.
-
-    The second colour shows in stains; `course_m` and `stone_m` are height and width of a stone, metres; `roughness` and
-    `stains` are deviations of brightness by unevenness and over metres, as parts of brightness.
-    """
-
-    masonry: Masonry
-    colour: Colour
-    second_colour: Colour
-    course_m: float
-    stone_m: float
-    roughness: float
-    stains: float
-
-
-def jittered(rng: np.random.Generator, colour: Colour, by: float) -> Colour:
+def jittered(rng: Generator, colour: Colour, by: float) -> Colour:
     """Return a colour near another: brightness and each channel changed by up to the part `by`."""
     factor = 1.0 + rng.uniform(-by, by)
     r, g, b = (float(np.clip(c * factor * (1 + rng.uniform(-by, by) / 6), 8, 245)) for c in colour)
     return r, g, b
 
 
-def wall_style(rng: np.random.Generator, *, distinct: float) -> WallStyle:
-    """Draw a wall; the more `distinct` (0 to 1), the more stains and unevenness tell one place from another."""
-    masonry = MASONRY[int(rng.choice(len(MASONRY), p=[0.24, 0.22, 0.26, 0.08, 0.06, 0.14]))]
-    course, stone, *_ = _COURSES.get(masonry, ((1.0, 1.0), (1.0, 1.0)))
-    colour = jittered(rng, WALL_COLOURS[int(rng.integers(len(WALL_COLOURS)))], 0.12)
-    return WallStyle(
-        masonry=masonry,
-        colour=colour,
-        second_colour=jittered(rng, colour, 0.3),
-        course_m=float(rng.uniform(*course)),
-        stone_m=float(rng.uniform(*stone)),
-        roughness=float(rng.uniform(0.015, 0.035) + 0.05 * distinct * rng.uniform(0.4, 1.0)),
-        stains=float(rng.uniform(0.02, 0.05) + 0.09 * distinct * rng.uniform(0.4, 1.0)),
-    )
+class WallStyle:
+    """What a wall is made of; the more `distinct` (0 to 1), the more stains and unevenness tell one place from another.
+
+    The second colour shows in stains; `course_m` and `stone_m` are height and width of a stone, metres; `roughness` and
+    `stains` are deviations of brightness by unevenness and over metres, as parts of brightness.
+    """
+
+    def __init__(self, rng: Generator, *, distinct: float) -> None:
+        self.masonry = MASONRY[int(rng.choice(len(MASONRY), p=[0.24, 0.22, 0.26, 0.08, 0.06, 0.14]))]
+        course, stone, *_ = _COURSES.get(self.masonry, ((1.0, 1.0), (1.0, 1.0)))
+        self.colour = jittered(rng, WALL_COLOURS[int(rng.integers(len(WALL_COLOURS)))], 0.12)
+        self.second_colour = jittered(rng, self.colour, 0.3)
+        self.course_m, self.stone_m = float(rng.uniform(*course)), float(rng.uniform(*stone))
+        self.roughness = float(rng.uniform(0.015, 0.035) + 0.05 * distinct * rng.uniform(0.4, 1.0))
+        self.stains = float(rng.uniform(0.02, 0.05) + 0.09 * distinct * rng.uniform(0.4, 1.0))
 
 
 def courses(
-    rng: np.random.Generator,
-    height: int,
-    width: int,
-    *,
-    course_px: float,
-    stone_px: float,
-    tones: float,
-    joints: float,
-    regular: bool = True,
+    rng: Generator, height: int, width: int, stone: Span, *, tones: float, joints: float, regular: bool = True
 ) -> Float32Array:
-    """Return rows of stones with joints, (height, width), as deviations from brightness 1; in bond when `regular`."""
+    """Return rows of stones with joints, (height, width), as deviations from brightness 1; in bond when `regular`.
+
+    `stone` is height and width of a stone, pixels.
+    """
+    course_px, stone_px = stone
     relief = np.empty((height, width), dtype=np.float32)
     edges = np.unique(np.rint(np.arange(0.0, height + course_px, course_px)).astype(int))
     joint = max(1, round(0.07 * course_px))
@@ -93,8 +70,8 @@ def courses(
         widths = np.full(count, stone_px) if regular else stone_px * rng.uniform(0.5, 1.5, size=2 * count)
         shift = (0.5 * (row % 2) if regular else rng.random()) * stone_px
         borders = np.cumsum(widths) - shift
-        stone = np.searchsorted(borders, columns, side="right")
-        line = rng.normal(0.0, tones, size=len(widths) + 1).astype(np.float32)[stone]
+        line = rng.normal(0.0, tones, size=len(widths) + 1).astype(np.float32)
+        line = line[np.searchsorted(borders, columns, side="right")]
         relief[top:bottom] = line
         starts = borders[borders < width].astype(int)
         for offset in range(joint):
@@ -104,7 +81,7 @@ def courses(
     return relief
 
 
-def wall(rng: np.random.Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float) -> Image:
+def wall(rng: Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float) -> Image:
     """Return a wall, shape (height, width, 3), that repeats only what its masonry repeats."""
     grain = ("gravel", "grass", "tissue", "moon")
     relief = style.roughness * surface(rng, height, width, grain, zoom=float(rng.uniform(0.8, 2.5)))
@@ -112,38 +89,35 @@ def wall(rng: np.random.Generator, height: int, width: int, style: WallStyle, *,
     stains = noise(rng, height, width, "coarse")
     relief += style.stains * stains + 0.5 * style.stains * noise(rng, height, width, "middle")
     if style.masonry in _COURSES:
-        _, _, tones, joints = _COURSES[style.masonry]
-        course, stone = max(3.0, style.course_m * texels_per_m), max(5.0, style.stone_m * texels_per_m)
+        *_, tones, joints = _COURSES[style.masonry]
+        stone = max(3.0, style.course_m * texels_per_m), max(5.0, style.stone_m * texels_per_m)
         regular = style.masonry in ("brick", "tiles", "ashlar")
-        relief += courses(
-            rng, height, width, course_px=course, stone_px=stone, tones=tones, joints=joints, regular=regular
-        )
+        relief += courses(rng, height, width, stone, tones=tones, joints=joints, regular=regular)
     elif rng.random() < 0.7:
-        _add_cracks(rng, relief, count=int(rng.integers(3, 12)))
+        for _ in range(int(rng.integers(3, 12))):
+            _add_crack(rng, relief)
     mixture = np.clip(0.5 + 0.35 * stains, 0.0, 1.0)
     return tinted(style.colour, relief, style.second_colour, mixture)
 
 
-def _add_cracks(rng: np.random.Generator, relief: Float32Array, *, count: int) -> None:
-    height, width = relief.shape
-    for _ in range(count):
-        steps = int(rng.integers(10, 60))
-        angle = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.45, size=steps))
-        path = np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]) * rng.uniform(3, 9), axis=0)
-        path += rng.uniform((0, 0), (width, height))
-        cv2.polylines(relief, [path.astype(np.int32)], False, float(-rng.uniform(0.15, 0.4)), int(rng.integers(1, 3)))
+def _add_crack(rng: Generator, relief: Float32Array) -> None:
+    steps = int(rng.integers(10, 60))
+    angle = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.45, size=steps))
+    path = np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]) * rng.uniform(3, 9), axis=0)
+    path += rng.uniform((0, 0), relief.shape[::-1])
+    cv2.polylines(relief, [path.astype(np.int32)], False, float(-rng.uniform(0.15, 0.4)), int(rng.integers(1, 3)))
 
 
-def roof(rng: np.random.Generator, height: int, width: int, *, texels_per_m: float) -> Image:
+def roof(rng: Generator, height: int, width: int, *, texels_per_m: float) -> Image:
     """Return rows of roof tiles."""
     colour = jittered(rng, ROOF_COLOURS[int(rng.integers(len(ROOF_COLOURS)))], 0.15)
     course, stone = rng.uniform(0.2, 0.35) * texels_per_m, rng.uniform(0.2, 0.35) * texels_per_m
-    relief = courses(rng, height, width, course_px=course, stone_px=stone, tones=0.08, joints=0.25)
+    relief = courses(rng, height, width, (course, stone), tones=0.08, joints=0.25)
     relief += 0.08 * noise(rng, height, width, "middle") + 0.04 * noise(rng, height, width, "fine")
     return tinted(colour, relief, (90, 96, 70), np.clip(0.25 * noise(rng, height, width, "coarse"), 0, 1))
 
 
-def pavement(rng: np.random.Generator, height: int, width: int, *, texels_per_m: float) -> Image:
+def pavement(rng: Generator, height: int, width: int, *, texels_per_m: float) -> Image:
     """Return a floor: slabs, setts, asphalt, gravel or grass."""
     kind = rng.choice(("slabs", "setts", "asphalt", "gravel", "grass"))
     relief = 0.07 * noise(rng, height, width, "coarse") + 0.03 * noise(rng, height, width, "fine")
@@ -155,26 +129,24 @@ def pavement(rng: np.random.Generator, height: int, width: int, *, texels_per_m:
     if kind in ("slabs", "setts"):
         side = (rng.uniform(0.35, 0.8) if kind == "slabs" else rng.uniform(0.12, 0.2)) * texels_per_m
         stone, regular = side * rng.uniform(1.0, 1.6), bool(rng.random() < 0.6)
-        relief += courses(rng, height, width, course_px=side, stone_px=stone, tones=0.08, joints=0.3, regular=regular)
+        relief += courses(rng, height, width, (side, stone), tones=0.08, joints=0.3, regular=regular)
     zoom = float(rng.uniform(0.2, 0.35) if kind == "asphalt" else rng.uniform(0.3, 0.6))
     relief += (0.12 if kind == "gravel" else 0.04) * surface(rng, height, width, ("gravel",), zoom=zoom)
     return tinted(grey, relief)
 
 
-def foliage(rng: np.random.Generator, side: int) -> Image:
+def foliage(rng: Generator, side: int) -> Image:
     """Return leaves with holes between them, shape (side, side, 4)."""
     relief = 0.35 * surface(rng, side, side, ("grass", "gravel"), zoom=float(rng.uniform(0.5, 1.0)))
     relief += 0.25 * noise(rng, side, side, "middle")
-    green = jittered(rng, (84, 104, 52), 0.25)
-    image = tinted(green, relief)
+    image = tinted(jittered(rng, (84, 104, 52), 0.25), relief)
     y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]
     density = 1.1 - np.hypot(x, y) * 1.35 + 0.35 * noise(rng, side, side, "middle")
     density += 0.25 * noise(rng, side, side, "fine")
-    opacity = np.where(density > 0, 255, 0).astype(np.uint8)
-    return np.dstack([image, opacity])
+    return np.dstack([image, np.where(density > 0, 255, 0).astype(np.uint8)])
 
 
-def ornament(rng: np.random.Generator, height: int, width: int, colour: Colour) -> Image:
+def ornament(rng: Generator, height: int, width: int, colour: Colour) -> Image:
     """Return a carved relief in one colour, shape (height, width, 3): a part of a photograph turned to stone."""
     names = ("coins", "china", "flower", "motorcycle", "astronaut", "moon", "camera")
     carved = crop(rng, height, width, names, part=(0.2, 0.5))

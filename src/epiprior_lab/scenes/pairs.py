@@ -8,8 +8,9 @@ from epiprior.errors import EpipriorError, SettingsError
 from epiprior.types import Float32Array
 from epiprior_lab.pairsets import Camera, ViewDifference
 from epiprior_lab.scenes.camera_pairs import draw_camera_pair
-from epiprior_lab.scenes.photography import draw_photograph, take
-from epiprior_lab.scenes.places import FACADE_TEXELS_PER_M, draw_house_style, draw_open_scene, draw_street
+from epiprior_lab.scenes.facades import HouseStyle
+from epiprior_lab.scenes.photography import take
+from epiprior_lab.scenes.places import FACADE_TEXELS_PER_M, draw_open_scene, draw_street
 from epiprior_lab.scenes.render import cast_shadows, draw_light, render_depth, render_image
 from epiprior_lab.scenes.settings import FAMILIES, FamilySettings
 from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Image
@@ -59,7 +60,7 @@ def render_pair(
         lights = light, draw_light(rng) if rng.random() < settings.relit else light
         for camera, view, sun in zip(cameras[:2], (FIRST_VIEW, SECOND_VIEW), lights, strict=True):
             shadows = cast_shadows(world, sun, subject.frame.foot, view=view)
-            images.append(take(render_image(world, camera, sun, shadows, view=view), draw_photograph(rng), rng))
+            images.append(take(render_image(world, camera, sun, shadows, view=view), rng))
             depths.append(render_depth(world, camera, view=view))
         return RenderedPair(images[0], images[1], depths[0], depths[1], *cameras)
     raise SceneError(f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes")
@@ -72,7 +73,7 @@ def render_doppelgangers(family: str, seed: int, *, width: int = 1024, height: i
     """
     settings = FAMILIES[family]
     parts = np.random.SeedSequence(seed).spawn(3)
-    style = draw_house_style(np.random.default_rng(parts[0]), settings, FACADE_TEXELS_PER_M)
+    style = HouseStyle(np.random.default_rng(parts[0]), settings, FACADE_TEXELS_PER_M)
     images = []
     for part in parts[1:]:
         for attempt in part.spawn(_WORLDS):
@@ -83,8 +84,7 @@ def render_doppelgangers(family: str, seed: int, *, width: int = 1024, height: i
                 continue
             light = draw_light(rng)
             shadows = cast_shadows(world, light, subject.frame.foot, view=FIRST_VIEW)
-            seen = render_image(world, cameras[0], light, shadows, view=FIRST_VIEW)
-            images.append(take(seen, draw_photograph(rng), rng))
+            images.append(take(render_image(world, cameras[0], light, shadows, view=FIRST_VIEW), rng))
             break
         else:
             raise SceneError(f"family {family!r}, seed {seed}: no view within the family's bounds in {_WORLDS} scenes")

@@ -1,7 +1,5 @@
 """What lens, sensor and file do to an image: exposure, tone, colour cast, vignetting, blur, noise, JPEG."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
@@ -10,54 +8,28 @@ from epiprior.types import Float32Array
 from epiprior_lab.scenes.world import Image
 
 
-@dataclass(frozen=True, kw_only=True)
-class Photograph:
-    """How one picture was taken.
-
-    `exposure` is the median brightness that the camera aims at, levels of 256; `balance` holds factors of red, green
-    and blue; `vignetting` is the loss of brightness in the corners, in [0, 1); `noise` is a deviation, levels of 256.
-    """
-
-    exposure: float
-    balance: tuple[float, float, float]
-    gamma: float
-    vignetting: float
-    blur_px: float
-    noise: float
-
-
-def draw_photograph(rng: np.random.Generator) -> Photograph:
-    """Draw how a picture was taken."""
-    warmth = float(rng.uniform(-0.06, 0.06))
-    return Photograph(
-        exposure=float(rng.uniform(82, 120)),
-        balance=(1.0 + warmth, 1.0, 1.0 - warmth),
-        gamma=float(rng.uniform(0.85, 1.2)),
-        vignetting=float(rng.uniform(0.0, 0.2)),
-        blur_px=float(rng.uniform(0.3, 0.9)),
-        noise=float(rng.uniform(0.6, 2.5)),
-    )
-
-
-def take(image: Image, photograph: Photograph, rng: np.random.Generator) -> Image:
-    """Return an image, shape (H, W, 3), as the camera would have delivered it."""
+def take(image: Image, rng: np.random.Generator) -> Image:
+    """Return an image, shape (H, W, 3), as a camera would have delivered it."""
     height, width = image.shape[:2]
-    if photograph.blur_px > 0.2:
-        image = np.asarray(cv2.GaussianBlur(image, (0, 0), photograph.blur_px), dtype=np.uint8)
-    tones = (np.arange(256) / 255.0) ** photograph.gamma * 255.0
+    warmth = float(rng.uniform(-0.06, 0.06))
+    exposure = float(rng.uniform(82, 120))  # median brightness that the camera aims at, levels of 256
+    gamma = float(rng.uniform(0.85, 1.2))
+    vignetting = np.float32(rng.uniform(0.0, 0.2))  # loss of brightness in the corners
+    image = np.asarray(cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.3, 0.9))), dtype=np.uint8)
+    noise = np.float32(rng.uniform(0.6, 2.5))  # a deviation, levels of 256
+    tones = (np.arange(256) / 255.0) ** gamma * 255.0
     middle = max(float(np.median(tones[image[::8, ::8]])), 1.0)
-    gain = np.clip(photograph.exposure / middle, 0.6, 2.2)
-    light = tones[:, None] * gain * np.array(photograph.balance)
+    light = tones[:, None] * np.clip(exposure / middle, 0.6, 2.2) * np.array((1.0 + warmth, 1.0, 1.0 - warmth))
     # A soft shoulder instead of clipping: skies keep their tone.
     light = np.where(light > 220, 220 + 35 * (1 - np.exp(-(light - 220) / 35)), light)
     table = light.astype(np.float32).reshape(256, 1, 3)
     exposed: Float32Array = np.asarray(cv2.LUT(image, table), dtype=np.float32)
     y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     x = np.linspace(-1, 1, width, dtype=np.float32)[None]
-    exposed *= (1 - np.float32(photograph.vignetting) * (x * x + y * y) / 2)[..., None]
+    exposed *= (1 - vignetting * (x * x + y * y) / 2)[..., None]
     # One grain for all channels: what a real camera leaves after demosaicing is mostly noise of brightness.
     grains = rng.standard_normal((height, width), dtype=np.float32)
-    exposed += (np.float32(photograph.noise) * grains)[..., None]
+    exposed += (noise * grains)[..., None]
     return np.asarray(np.clip(exposed + 0.5, 0, 255).astype(np.uint8))
 
 

@@ -4,12 +4,13 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 
 from epiprior_lab.scenes.camera_pairs import Subject
 from epiprior_lab.scenes.clutter import FURNITURE, PASSING, add_crates, add_poster_board, add_rock, scatter
-from epiprior_lab.scenes.facades import HouseStyle, add_facade, add_house, house_style
-from epiprior_lab.scenes.materials import foliage, pavement, wall, wall_style
-from epiprior_lab.scenes.settings import FamilySettings
+from epiprior_lab.scenes.facades import HouseStyle, add_facade, add_house
+from epiprior_lab.scenes.materials import WallStyle, foliage, pavement, wall
+from epiprior_lab.scenes.settings import Bounds, FamilySettings
 from epiprior_lab.scenes.textures import crop, noise
 from epiprior_lab.scenes.world import BOTH_VIEWS, FIRST_VIEW, SECOND_VIEW, Frame, Image, World, WorldBuilder, upright
 
@@ -20,10 +21,9 @@ _ROWS, _COLUMNS = 512, 1024  # of the surroundings
 FACADE_TEXELS_PER_M = 56.0
 
 
-def _begin_world(rng: np.random.Generator) -> WorldBuilder:
+def _begin_world(rng: Generator) -> WorldBuilder:
     world = WorldBuilder(surroundings=_surroundings(rng))
-    side = 768
-    ground = world.texture(pavement(rng, side, side, texels_per_m=side / _GROUND_TILE_M))
+    ground = world.texture(pavement(rng, 768, 768, texels_per_m=768 / _GROUND_TILE_M))
     half, tiles = _GROUND_M / 2, _GROUND_M / _GROUND_TILE_M
     corner, across, down = (-half, 0.0, half), (_GROUND_M, 0.0, 0.0), (0.0, 0.0, -_GROUND_M)
     world.face(corner, across, down, ground, area=(0.0, 0.0, tiles, tiles))
@@ -31,7 +31,7 @@ def _begin_world(rng: np.random.Generator) -> WorldBuilder:
     return world
 
 
-def _add_backdrop(world: WorldBuilder, rng: np.random.Generator) -> None:
+def _add_backdrop(world: WorldBuilder, rng: Generator) -> None:
     """Add a ring of flat houses and trees at the rim of the ground."""
     corners, radius = 9, 0.48 * _GROUND_M
     textures = [world.texture(_row_of_houses(rng)) for _ in range(3)]
@@ -43,7 +43,7 @@ def _add_backdrop(world: WorldBuilder, rng: np.random.Generator) -> None:
         world.face(there - [0.0, high, 0.0], here - there, (0.0, high, 0.0), textures[k % 3])
 
 
-def _row_of_houses(rng: np.random.Generator) -> Image:
+def _row_of_houses(rng: Generator) -> Image:
     """Return far houses between trees, shape (192, 640, 4), with sky above them."""
     height, width = 192, 640
     image = np.zeros((height, width, 4), dtype=np.uint8)
@@ -56,7 +56,7 @@ def _row_of_houses(rng: np.random.Generator) -> Image:
             image[height - 100 :, x:right] = trees[14:114, : right - x]
             x += int(rng.integers(50, 110))
             continue
-        house = wall(rng, height - top, wide, wall_style(rng, distinct=0.5), texels_per_m=14.0)
+        house = wall(rng, height - top, wide, WallStyle(rng, distinct=0.5), texels_per_m=14.0)
         dark, step = (house[:1, :1] // 4).astype(np.uint8), int(rng.integers(16, 26))
         for y in range(12, house.shape[0] - 14, step + 6):
             for left in range(6, wide - 12, step):
@@ -67,7 +67,7 @@ def _row_of_houses(rng: np.random.Generator) -> Image:
     return image
 
 
-def _surroundings(rng: np.random.Generator) -> Image:
+def _surroundings(rng: Generator) -> Image:
     """Return a picture of all directions, (512, 1024, 3): zenith in the first row, horizon in the middle."""
     half = _ROWS // 2
     zenith = np.array(((92, 130, 186), (150, 160, 172), (118, 148, 190))[int(rng.integers(3))], dtype=np.float32)
@@ -83,7 +83,7 @@ def _surroundings(rng: np.random.Generator) -> Image:
     return np.asarray(np.clip(image, 0, 255), dtype=np.uint8)
 
 
-def _skyline(rng: np.random.Generator, band: np.ndarray) -> np.ndarray:
+def _skyline(rng: Generator, band: np.ndarray) -> np.ndarray:
     """Draw the other side of the street, blurred: it is seen only as a reflection or behind everything."""
     height, width = band.shape[:2]
     out = np.array(band, dtype=np.float32)
@@ -97,15 +97,13 @@ def _skyline(rng: np.random.Generator, band: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.GaussianBlur(out, (0, 0), 1.2))
 
 
-def draw_street(
-    rng: np.random.Generator, settings: FamilySettings, style: HouseStyle | None = None
-) -> tuple[World, Subject]:
+def draw_street(rng: Generator, settings: FamilySettings, style: HouseStyle | None = None) -> tuple[World, Subject]:
     """Draw a street with a facade about 20 m wide, in one to three parts that stand out from each other.
 
     `style` is that of the facade, instead of one that is drawn.
     """
     world = _begin_world(rng)
-    style = style or draw_house_style(rng, settings, FACADE_TEXELS_PER_M)
+    style = style or HouseStyle(rng, settings, FACADE_TEXELS_PER_M)
     width, height = float(rng.uniform(16, 25)), float(rng.uniform(9, 16))
     frame = Frame.facing((-width / 2, 0.0, 0.0), 0.0)
     parts = int(rng.integers(1, 4))
@@ -122,7 +120,7 @@ def draw_street(
     scatter(world, rng, FURNITURE, count=int(rng.integers(3, 8)), across=across, before=before, view=BOTH_VIEWS)
     _add_passing(world, rng, settings, across=across, before=before)
     subject = Subject(
-        frame=Frame(np.zeros(3), frame.right, frame.outward),
+        frame=Frame.facing((0.0, 0.0, 0.0), 0.0),
         distance_m=(11.0, 18.0),
         obliquity_deg=55.0,
         aim_across_m=(-0.2 * width, 0.2 * width),
@@ -133,53 +131,42 @@ def draw_street(
 
 
 def _add_returns(
-    world: WorldBuilder, rng: np.random.Generator, frame: Frame, *, width: float, height: float, depth: float
+    world: WorldBuilder, rng: Generator, frame: Frame, *, width: float, height: float, depth: float
 ) -> None:
     """Close a part that stands forward on both sides, with a wall of its own masonry."""
-    style = wall_style(rng, distinct=0.3)
+    style = WallStyle(rng, distinct=0.3)
     texture = world.texture(wall(rng, int(24 * height), max(8, int(24 * depth)), style, texels_per_m=24.0))
     for side in (frame.side(width), frame.left_side(-depth)):
         upright(world, side, (0.0, depth), (0.0, height), 0.0, texture=texture)
 
 
 def _add_neighbours(
-    world: WorldBuilder, rng: np.random.Generator, frame: Frame, settings: FamilySettings, *, width: float
+    world: WorldBuilder, rng: Generator, frame: Frame, settings: FamilySettings, *, width: float
 ) -> None:
     """Add a house on either side, in line, set back, or standing forward so that its side is seen."""
     for side in (-1, 1):
-        style = draw_house_style(rng, settings, 40.0)
+        style = HouseStyle(rng, settings, 40.0)
         wide, forward = float(rng.uniform(7, 11)), float(rng.choice((-3.0, -1.0, 0.8, 2.5, 4.0)))
         start = -wide - rng.uniform(0, 1.5) if side < 0 else width + rng.uniform(0, 1.5)
         place = Frame(frame.point(float(start), 0.0, forward), frame.right, frame.outward)
         add_house(world, rng, place, style, width=wide, height=float(rng.uniform(5, 12)), depth=8.0)
 
 
-def draw_house_style(rng: np.random.Generator, settings: FamilySettings, texels_per_m: float) -> HouseStyle:
-    """Draw the style of a house of a family."""
-    distinct, variety = float(rng.uniform(*settings.distinct)), float(rng.uniform(*settings.variety))
-    return house_style(rng, distinct=distinct, variety=variety, texels_per_m=texels_per_m)
-
-
 def _add_passing(
-    world: WorldBuilder,
-    rng: np.random.Generator,
-    settings: FamilySettings,
-    *,
-    across: tuple[float, float],
-    before: tuple[float, float],
+    world: WorldBuilder, rng: Generator, settings: FamilySettings, *, across: Bounds, before: Bounds
 ) -> None:
     for view in (FIRST_VIEW, SECOND_VIEW):
         count = round(rng.uniform(*settings.passing))
         scatter(world, rng, PASSING, count=count, across=across, before=before, view=view)
 
 
-def draw_open_scene(rng: np.random.Generator, settings: FamilySettings) -> tuple[World, Subject]:
+def draw_open_scene(rng: Generator, settings: FamilySettings) -> tuple[World, Subject]:
     """Draw a place about 25 m wide: houses behind, single things before them, some close to the viewer."""
     world = _begin_world(rng)
     across = -16.0
     while across < 14.0:
         wide, turn = float(rng.uniform(4, 9)), float(rng.uniform(-35, 35))
-        style = draw_house_style(rng, settings, 48.0)
+        style = HouseStyle(rng, settings, 48.0)
         place = Frame.facing((across, 0.0, float(rng.uniform(2, 10))), turn)
         height, depth = float(rng.uniform(3, 8)), float(rng.uniform(4, 7))
         add_house(world, rng, place, style, width=wide, height=height, depth=depth)

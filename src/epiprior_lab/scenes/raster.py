@@ -29,18 +29,13 @@ class Faces(NamedTuple):
 
     inverse: FloatArray
     bounds: FloatArray
+    normal: FloatArray
+    light: FloatArray
     frame: FloatArray
     texture: IntArray
     triangle: IntArray
     cut_out: IntArray
     mirror: FloatArray
-    normal: FloatArray
-    light: FloatArray
-
-
-class Textures(NamedTuple):
-    """Texels of all textures at all sizes, and where each begins; as in `World`."""
-
     levels: IntArray
     texels: NDArray[np.uint8]
 
@@ -48,8 +43,8 @@ class Textures(NamedTuple):
 class Place(NamedTuple):
     """What is the same for all faces: camera, surroundings, sun.
 
-    `to_world` (3, 3) maps a pixel (x, y, 1) to its ray, which starts at `eye` (3,); `sun_projection` (3, 4) maps
-    world points to pixels of `sun_depth`, which holds how far the sun sees.
+    `to_world` (3, 3) maps a pixel (x, y, 1) to its ray, of length 1 along the axis, from `eye` (3,); `sun_projection`
+    (3, 4) maps world points to pixels of `sun_depth`, which holds how far the sun sees.
     """
 
     to_world: FloatArray
@@ -60,12 +55,12 @@ class Place(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest_faces(faces, textures, samples, inverse_depth, number):  # type: ignore[no-untyped-def]
+def nearest_faces(faces, samples, inverse_depth, number):  # type: ignore[no-untyped-def]
     """Write inverse depth and number of the nearest face of each sample, `samples` per axis; they are 0 and -1."""
     rows, columns = inverse_depth.shape
     for k in range(len(faces.inverse)):
         M, frame = faces.inverse[k], faces.frame[k]
-        levels = textures.levels[faces.texture[k]]
+        levels = faces.levels[faces.texture[k]]
         left = max(0, math.floor((faces.bounds[k, 0] + 0.5) * samples - 0.5))
         right = min(columns - 1, math.ceil((faces.bounds[k, 2] + 0.5) * samples - 0.5))
         top = max(0, math.floor((faces.bounds[k, 1] + 0.5) * samples - 0.5))
@@ -73,10 +68,7 @@ def nearest_faces(faces, textures, samples, inverse_depth, number):  # type: ign
         # Per sample instead of per pixel along the row.
         ds, dt, dw = M[0, 0] / samples, M[1, 0] / samples, M[2, 0] / samples
         for i in range(top, bottom + 1):
-            y, x = (i + 0.5) / samples - 0.5, 0.5 / samples - 0.5
-            s0 = M[0, 0] * x + M[0, 1] * y + M[0, 2]
-            t0 = M[1, 0] * x + M[1, 1] * y + M[1, 2]
-            w0 = M[2, 0] * x + M[2, 1] * y + M[2, 2]
+            s0, t0, w0 = _mapped(M, 0.5 / samples - 0.5, (i + 0.5) / samples - 0.5)
             first, last = _span(s0, ds, float(left), float(right))
             first, last = _span(t0, dt, first, last)
             first, last = _span(w0, dw, first, last)
@@ -108,7 +100,7 @@ def nearest_faces(faces, textures, samples, inverse_depth, number):  # type: ign
                 u = frame[0, 0] + f * frame[1, 0] + g * frame[2, 0]
                 v = frame[0, 1] + f * frame[1, 1] + g * frame[2, 1]
                 column, row = int((u - math.floor(u)) * width), int((v - math.floor(v)) * height)
-                if textures.texels[offset + min(row, height - 1) * width + min(column, width - 1), 3] >= _OPAQUE:
+                if faces.texels[offset + min(row, height - 1) * width + min(column, width - 1), 3] >= _OPAQUE:
                     inverse_depth[i, j] = w
                     number[i, j] = k
 
@@ -221,31 +213,27 @@ def _sunlit(projection, depth, point):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _ray(to_world, pixel):  # type: ignore[no-untyped-def]
-    """Return the ray of a pixel in the world; its length is 1 along the optical axis."""
-    x, y = pixel
-    return (
-        to_world[0, 0] * x + to_world[0, 1] * y + to_world[0, 2],
-        to_world[1, 0] * x + to_world[1, 1] * y + to_world[1, 2],
-        to_world[2, 0] * x + to_world[2, 1] * y + to_world[2, 2],
-    )
+def _mapped(M, x, y):  # type: ignore[no-untyped-def]
+    """Return ``M (x, y, 1)``."""
+    s = M[0, 0] * x + M[0, 1] * y + M[0, 2]
+    t = M[1, 0] * x + M[1, 1] * y + M[1, 2]
+    return s, t, M[2, 0] * x + M[2, 1] * y + M[2, 2]
 
 
 @numba.njit(cache=True, nogil=True)
-def _face_colour(faces, textures, place, k, pixel):  # type: ignore[no-untyped-def]
+def _face_colour(faces, place, k, x, y):  # type: ignore[no-untyped-def]
     """Return the colour of face `k` around a pixel (x, y)."""
-    M, normal, (x, y) = faces.inverse[k], faces.normal[k], pixel
-    rx, ry, rz = _ray(place.to_world, pixel)
-    s = M[0, 0] * x + M[0, 1] * y + M[0, 2]
-    t = M[1, 0] * x + M[1, 1] * y + M[1, 2]
-    w = max(M[2, 0] * x + M[2, 1] * y + M[2, 2], 1e-9)
+    M, normal = faces.inverse[k], faces.normal[k]
+    rx, ry, rz = _mapped(place.to_world, x, y)
+    s, t, w = _mapped(M, x, y)
+    w = max(w, 1e-9)
     (u, v), step_x, step_y = _texture_place(M, faces.frame[k], (s, t, w), 1)
-    levels = textures.levels[faces.texture[k]]
+    levels = faces.levels[faces.texture[k]]
     level, probes, (du, dv) = _level_of(levels, step_x, step_y)
     r, g, b, opacity = 0.0, 0.0, 0.0, 0.0
     for probe in range(probes):
         part = (probe + 0.5) / probes - 0.5
-        dr, dg, db, da = _texel(levels[level], textures.texels, u + part * du, v + part * dv)
+        dr, dg, db, da = _texel(levels[level], faces.texels, u + part * du, v + part * dv)
         r, g, b, opacity = r + dr, g + dg, b + db, opacity + da
     shade = faces.light[k, 0]
     if faces.light[k, 1] > 0.0:
@@ -267,7 +255,7 @@ def _face_colour(faces, textures, place, k, pixel):  # type: ignore[no-untyped-d
 
 
 @numba.njit(cache=True, nogil=True)
-def paint(faces, textures, place, number, image):  # type: ignore[no-untyped-def]
+def paint(faces, place, number, image):  # type: ignore[no-untyped-def]
     """Write the colour of each pixel: the mean over its samples in `number`, each face looked up once."""
     rows, columns = image.shape[:2]
     samples = number.shape[0] // rows
@@ -289,11 +277,10 @@ def paint(faces, textures, place, number, image):  # type: ignore[no-untyped-def
             for position in range(different):
                 k = found[position]
                 if k < 0:
-                    dr, dg, db = _surroundings_at(place.surroundings, _ray(place.to_world, (x, y)))
+                    dr, dg, db = _surroundings_at(place.surroundings, _mapped(place.to_world, x, y))
                 else:
-                    dr, dg, db = _face_colour(faces, textures, place, k, (x, y))
+                    dr, dg, db = _face_colour(faces, place, k, x, y)
                 part = count[position] / (samples * samples)
                 r, g, b = r + part * dr, g + part * dg, b + part * db
-            image[y, x, 0] = np.uint8(min(max(r + 0.5, 0.0), 255.0))
-            image[y, x, 1] = np.uint8(min(max(g + 0.5, 0.0), 255.0))
-            image[y, x, 2] = np.uint8(min(max(b + 0.5, 0.0), 255.0))
+            for channel, value in enumerate((r, g, b)):
+                image[y, x, channel] = np.uint8(min(max(value + 0.5, 0.0), 255.0))

@@ -1,6 +1,7 @@
 """A camera's view of a world: how it is lit, its image and its exact depth."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,7 @@ def draw_light(rng: np.random.Generator) -> Light:
 
 def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Float32Array:
     """Return the depth of the nearest face at each pixel's centre, (height, width); inf where there is none."""
-    inverse_depth, _ = _nearest(world, camera, _faces(world, camera, view, None), 1)
+    inverse_depth, _ = _nearest(camera, _faces(world, camera, view, None), 1)
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / inverse_depth, dtype=np.float32)
 
@@ -55,24 +56,19 @@ def render_image(
     `samples` per pixel along each axis serve the rims of faces; textures are filtered in any case.
     """
     faces = _faces(world, camera, view, light)
-    _, number = _nearest(world, camera, faces, samples)
-    place = raster.Place(
-        to_world=np.ascontiguousarray(camera.R.T @ np.linalg.inv(camera.K)),
-        eye=camera.centre,
-        surroundings=world.surroundings,
-        sun_projection=shadows.projection,
-        sun_depth=shadows.depth,
-    )
+    _, number = _nearest(camera, faces, samples)
+    to_world = camera.R.T @ np.linalg.inv(camera.K)
+    place = raster.Place(to_world, camera.centre, world.surroundings, shadows.projection, shadows.depth)
     image = np.empty((camera.height, camera.width, 3), dtype=np.uint8)
-    raster.paint(faces, raster.Textures(world.levels, world.texels), place, number, image)
+    raster.paint(faces, place, number, image)
     return image
 
 
-def _nearest(world: World, camera: Camera, faces: raster.Faces, samples: int) -> tuple[Float32Array, NDArray[np.int32]]:
+def _nearest(camera: Camera, faces: raster.Faces, samples: int) -> tuple[Float32Array, NDArray[np.int32]]:
     """Return inverse depth and the number of the nearest face at each sample."""
     shape = camera.height * samples, camera.width * samples
     inverse_depth, number = np.zeros(shape, dtype=np.float32), np.full(shape, -1, dtype=np.int32)
-    raster.nearest_faces(faces, raster.Textures(world.levels, world.texels), samples, inverse_depth, number)
+    raster.nearest_faces(faces, samples, inverse_depth, number)
     return inverse_depth, number
 
 
@@ -96,19 +92,12 @@ def _faces(world: World, camera: Camera, view: int, light: Light | None) -> rast
     brightness = np.zeros((len(normal), 2))
     if light is not None:
         by_sun = (1.0 - light.ambient) * np.maximum(normal @ light.to_sun, 0.0)
-        own = world.brightness[index]
-        brightness = np.column_stack([own * light.ambient, own * by_sun])
-    return raster.Faces(
-        inverse=np.ascontiguousarray(np.linalg.inv(M[index])),
-        bounds=np.ascontiguousarray(bounds[index]),
-        frame=world.texture_frame[index],
-        texture=world.texture[index],
-        triangle=world.triangle[index],
-        cut_out=world.cut_out[index],
-        mirror=world.mirror[index],
-        normal=normal,
-        light=brightness,
-    )
+        factor = world.brightness[index]
+        brightness = np.column_stack([factor * light.ambient, factor * by_sun])
+    own: list[Any] = [np.linalg.inv(M[index]), bounds[index], normal, brightness]
+    columns = (world.texture_frame, world.texture, world.triangle, world.cut_out, world.mirror)
+    own += [*(column[index] for column in columns), world.levels, world.texels]
+    return raster.Faces(*own)
 
 
 def _bounds(polygons: FloatArray, camera: Camera) -> FloatArray:

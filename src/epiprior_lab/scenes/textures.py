@@ -14,6 +14,7 @@ from epiprior.errors import ImageError
 from epiprior.types import Float32Array
 from epiprior_lab.scenes.world import Image
 
+Colour = tuple[float, float, float]
 Grain = Literal["fine", "middle", "coarse"]
 
 _SKIMAGE = (
@@ -27,6 +28,8 @@ PICTURES = ("astronaut", "camera", "chelsea", "china", "coffee", "coins", "flowe
 """Photographs with things in them: for posters, signs and what stands behind a window."""
 SURFACES = ("brick", "grass", "gravel", "tissue", "moon", "coffee", "china", "motorcycle")
 """Photographs whose detail serves as the unevenness of a surface."""
+
+DUPLEX = cv2.FONT_HERSHEY_DUPLEX
 
 _EXPONENT: dict[Grain, float] = {"fine": 0.5, "middle": 1.0, "coarse": 1.7}
 _FIELD_SIDE = 2048
@@ -61,11 +64,9 @@ def noise(rng: np.random.Generator, height: int, width: int, grain: Grain) -> Fl
     """Return a random window (height, width) of a noise field of mean 0 and deviation 1; maybe mirrored."""
     field = _noise_field(grain)
     top, left = rng.integers(_FIELD_SIDE, size=2)
-    rows, columns = np.arange(top, top + height) % _FIELD_SIDE, np.arange(left, left + width) % _FIELD_SIDE
-    if top + height <= _FIELD_SIDE and left + width <= _FIELD_SIDE:
-        window = field[top : top + height, left : left + width]
-    else:
-        window = field[rows[:, None], columns[None]]
+    window = field[top : top + height, left : left + width]
+    if window.shape != (height, width):  # beyond the rim
+        window = field[np.ix_(np.arange(top, top + height) % _FIELD_SIDE, np.arange(left, left + width) % _FIELD_SIDE)]
     return window[:: rng.choice((-1, 1)), :: rng.choice((-1, 1))]
 
 
@@ -93,20 +94,6 @@ def letters(rng: np.random.Generator, count: int) -> str:
     return "".join(chr(c) if c < 91 else " " for c in rng.integers(65, 95, size=count).tolist())
 
 
-def print_line(
-    image: Image,
-    text: str,
-    at: tuple[int, int],
-    size: float,
-    ink: tuple[int, ...],
-    thickness: int,
-    *,
-    font: int = cv2.FONT_HERSHEY_DUPLEX,
-) -> None:
-    """Write a line of text into an image, its lower left corner `at` (x, y)."""
-    cv2.putText(image, text, at, font, size, ink, thickness, cv2.LINE_AA)
-
-
 def surface(rng: np.random.Generator, height: int, width: int, names: Sequence[str], *, zoom: float) -> Float32Array:
     """Return a photograph's brightness, mirrored in tiles, mean 0, deviation 1; `zoom` texels per pixel."""
     image = cv2.cvtColor(photograph(names[int(rng.integers(len(names)))]), cv2.COLOR_RGB2GRAY)
@@ -126,17 +113,12 @@ def _mirrored(index: np.ndarray, length: int) -> np.ndarray:
 
 
 def tinted(
-    base: tuple[float, float, float],
-    relief: Float32Array,
-    second: tuple[float, float, float] | None = None,
-    mixture: Float32Array | None = None,
+    base: Colour, relief: Float32Array, second: Colour | None = None, mixture: Float32Array | None = None
 ) -> Image:
     """Return an RGB image of one colour times ``1 + relief``; `mixture` in [0, 1] leads to a second colour."""
     factor = 1.0 + relief
-    channels = []
-    for channel in range(3):
-        colour: Float32Array | float = base[channel]
-        if second is not None and mixture is not None:
-            colour = base[channel] + (second[channel] - base[channel]) * mixture
-        channels.append(cv2.convertScaleAbs(np.maximum(factor * colour, 0.0)))
+    colours: Sequence[Float32Array | float] = base
+    if second is not None and mixture is not None:
+        colours = [one + (other - one) * mixture for one, other in zip(base, second, strict=True)]
+    channels = [cv2.convertScaleAbs(np.maximum(factor * colour, 0.0)) for colour in colours]
     return np.asarray(cv2.merge(channels), dtype=np.uint8)

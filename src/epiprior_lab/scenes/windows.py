@@ -1,58 +1,36 @@
 """Windows, doors and shop fronts: frames that repeat, and what differs from one window to the next."""
 
-from dataclasses import dataclass
-from typing import Literal
-
 import cv2
 import numpy as np
 
-from epiprior_lab.scenes.materials import Colour, jittered, ornament
-from epiprior_lab.scenes.textures import PICTURES, crop, noise, print_line
+from epiprior_lab.scenes.materials import jittered
+from epiprior_lab.scenes.textures import DUPLEX, PICTURES, Colour, crop, noise
 from epiprior_lab.scenes.world import Image
 
-Lintel = Literal["none", "band", "keystone", "pediment", "arch", "carved"]
-LINTELS: tuple[Lintel, ...] = ("none", "band", "keystone", "pediment", "arch", "carved")
+LINTELS = ("none", "band", "keystone", "pediment", "arch", "carved")
 GLASS = 128
+Area = tuple[int, int, int, int]  # left, top, right, bottom
 _SOLID = 255
 
 
-@dataclass(frozen=True, kw_only=True)
 class WindowStyle:
     """What all windows of a house share; `variety`, in [0, 1], tells how much one differs from the next."""
 
-    width_m: float
-    height_m: float
-    columns: int
-    rows: int
-    frame_colour: Colour
-    trim_colour: Colour
-    shutter_colour: Colour
-    frame_m: float
-    lintel: Lintel
-    shutters: bool
-    variety: float
-
-
-def window_style(rng: np.random.Generator, wall_colour: Colour, *, variety: float) -> WindowStyle:
-    """Draw a window."""
-    frames = ((235, 232, 225), (96, 66, 44), (60, 66, 72), (222, 214, 196), (46, 72, 60))
-    light = tuple(min(245.0, 1.22 * c) for c in wall_colour)
-    trims = (light, (206, 198, 180), (150, 140, 128), (232, 228, 220))
-    shutters = ((70, 92, 72), (110, 60, 48), (72, 84, 110), (130, 118, 98))
-    trim = trims[int(rng.integers(len(trims)))]
-    return WindowStyle(
-        width_m=float(rng.uniform(0.9, 1.6)),
-        height_m=float(rng.uniform(1.3, 2.1)),
-        columns=int(rng.choice((2, 2, 2, 3, 4))),
-        rows=int(rng.choice((1, 2, 2, 3, 4))),
-        frame_colour=jittered(rng, frames[int(rng.integers(len(frames)))], 0.08),
-        trim_colour=jittered(rng, (trim[0], trim[1], trim[2]), 0.06),
-        shutter_colour=jittered(rng, shutters[int(rng.integers(len(shutters)))], 0.15),
-        frame_m=float(rng.uniform(0.05, 0.09)),
-        lintel=LINTELS[int(rng.integers(len(LINTELS)))],
-        shutters=bool(rng.random() < 0.25),
-        variety=variety,
-    )
+    def __init__(self, rng: np.random.Generator, wall_colour: Colour, *, variety: float) -> None:
+        frames = ((235, 232, 225), (96, 66, 44), (60, 66, 72), (222, 214, 196), (46, 72, 60))
+        r, g, b = (min(245.0, 1.22 * c) for c in wall_colour)
+        trims = ((r, g, b), (206, 198, 180), (150, 140, 128), (232, 228, 220))
+        shutters = ((70, 92, 72), (110, 60, 48), (72, 84, 110), (130, 118, 98))
+        trim = trims[int(rng.integers(len(trims)))]
+        self.width_m, self.height_m = float(rng.uniform(0.9, 1.6)), float(rng.uniform(1.3, 2.1))
+        self.columns, self.rows = int(rng.choice((2, 2, 2, 3, 4))), int(rng.choice((1, 2, 2, 3, 4)))
+        self.frame_colour = jittered(rng, frames[int(rng.integers(len(frames)))], 0.08)
+        self.trim_colour = jittered(rng, trim, 0.06)
+        self.shutter_colour = jittered(rng, shutters[int(rng.integers(len(shutters)))], 0.15)
+        self.frame_m = float(rng.uniform(0.05, 0.09))
+        self.lintel = LINTELS[int(rng.integers(len(LINTELS)))]
+        self.shutters = bool(rng.random() < 0.25)
+        self.variety = variety
 
 
 def draw_panes(rng: np.random.Generator, area: Image, style: WindowStyle, *, texels_per_m: float) -> None:
@@ -107,17 +85,11 @@ def _draw_curtains(rng: np.random.Generator, area: Image, style: WindowStyle) ->
 
 
 def draw_trim(
-    rng: np.random.Generator,
-    wall: Image,
-    opening: tuple[int, int, int, int],
-    style: WindowStyle,
-    carving: Image | None,
-    *,
-    texels_per_m: float,
+    rng: np.random.Generator, wall: Image, opening: Area, style: WindowStyle, carving: Image | None, scale: float
 ) -> None:
-    """Draw the stone around an opening (left, top, right, bottom) on a wall (H, W, 4), shutters, and dirt below."""
+    """Draw the stone around an opening of a wall (H, W, 4), shutters, and dirt below, at `scale` texels per metre."""
     left, top, right, bottom = opening
-    band = max(3, round(0.14 * texels_per_m))
+    band = max(3, round(0.14 * scale))
     colour = (*style.trim_colour, _SOLID)
     edge = (*(0.62 * c for c in style.trim_colour), _SOLID)
     if style.lintel != "none":
@@ -142,17 +114,17 @@ def draw_trim(
     if carving is not None:
         paste(wall, carving, middle - carving.shape[1] // 2, high - carving.shape[0] - 1)
     if style.shutters:
-        _draw_shutters(rng, wall, opening, style)
+        wide = max(4, (right - left) // 2)
+        for x in (left - wide, right):
+            own = jittered(rng, style.shutter_colour, 0.02 + 0.08 * style.variety)
+            shutter = np.full((bottom - top, wide, 3), own, dtype=np.uint8)
+            shutter[::5] //= 2
+            cv2.rectangle(shutter, (0, 0), (wide - 1, bottom - top - 1), style.shutter_colour, max(2, wide // 12))
+            paste(wall, shutter, x, top)
     if rng.random() < 0.3 + 0.5 * style.variety:
-        sill = left, min(bottom + band, wall.shape[0] - 1), right
-        _draw_streaks(rng, wall, sill, length=int(rng.uniform(0.3, 1.2) * texels_per_m))
-
-
-def carved_lintel(rng: np.random.Generator, style: WindowStyle, *, texels_per_m: float) -> Image | None:
-    """Return the relief above every window of a house, if its style has one."""
-    if style.lintel != "carved":
-        return None
-    return ornament(rng, int(0.42 * texels_per_m), int((style.width_m + 0.2) * texels_per_m), style.trim_colour)
+        sill = min(bottom + band, wall.shape[0] - 1)
+        length = int(rng.uniform(0.3, 1.2) * scale)
+        _draw_streaks(rng, wall[sill : sill + length, max(left, 0) : right, :3])
 
 
 def paste(canvas: Image, patch: Image, left: int, top: int) -> None:
@@ -164,28 +136,12 @@ def paste(canvas: Image, patch: Image, left: int, top: int) -> None:
         canvas[y0:y1, x0:x1, :3] = patch[y0 - top : y1 - top, x0 - left : x1 - left]
 
 
-def _draw_shutters(
-    rng: np.random.Generator, wall: Image, opening: tuple[int, int, int, int], style: WindowStyle
-) -> None:
-    """Draw louvred shutters left and right of an opening."""
-    left, top, right, bottom = opening
-    wide = max(4, (right - left) // 2)
-    for x in (left - wide, right):
-        shutter = np.empty((bottom - top, wide, 3), dtype=np.uint8)
-        shutter[:] = jittered(rng, style.shutter_colour, 0.02 + 0.08 * style.variety)
-        shutter[::5] //= 2
-        cv2.rectangle(shutter, (0, 0), (wide - 1, bottom - top - 1), style.shutter_colour, max(2, wide // 12))
-        paste(wall, shutter, x, top)
-
-
-def _draw_streaks(rng: np.random.Generator, wall: Image, sill: tuple[int, int, int], *, length: int) -> None:
-    """Darken the wall below a sill (left, top, right) in vertical streaks."""
-    left, top, right = max(sill[0], 0), sill[1], min(sill[2], wall.shape[1])
-    bottom = min(top + length, wall.shape[0])
-    if bottom - top < 2 or right - left < 2:
+def _draw_streaks(rng: np.random.Generator, area: Image) -> None:
+    """Darken the wall below a sill in vertical streaks."""
+    height, width = area.shape[:2]
+    if min(height, width) < 2:
         return
-    streaks = np.maximum(noise(rng, 1, right - left, "middle"), 0) * np.linspace(1, 0, bottom - top)[:, None]
-    area = wall[top:bottom, left:right, :3]
+    streaks = np.maximum(noise(rng, 1, width, "middle"), 0) * np.linspace(1, 0, height)[:, None]
     area[:] = area * (1 - np.clip(0.22 * streaks, 0, 0.5))[..., None]
 
 
@@ -207,6 +163,7 @@ def door(rng: np.random.Generator, height: int, width: int) -> Image:
     sign = max(6, height // 6)
     image[:sign] = (*jittered(rng, (150, 60, 50), 0.5), _SOLID)
     name = "".join(chr(int(c)) for c in rng.integers(65, 91, size=max(3, width // sign)))
-    print_line(image, name, (3, int(0.8 * sign)), sign / 34, (240, 236, 220, _SOLID), max(1, sign // 12))
+    at, ink = (3, int(0.8 * sign)), (240, 236, 220, _SOLID)
+    cv2.putText(image, name, at, DUPLEX, sign / 34, ink, max(1, sign // 12), cv2.LINE_AA)
     cv2.rectangle(image, (0, 0), (width - 1, height - 1), (60, 56, 52, _SOLID), max(2, width // 40))
     return image

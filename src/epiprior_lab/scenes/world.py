@@ -5,7 +5,9 @@ x points right, y down, z away from a viewer who stands before a facade; the gro
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +17,8 @@ from epiprior.types import FloatArray, IntArray
 
 Image = NDArray[np.uint8]
 Vector = FloatArray | tuple[float, float, float] | list[float]
+Span = tuple[float, float]
+Part = tuple[float, float, float, float]  # of a texture: left, top, right, bottom
 
 BOTH_VIEWS, FIRST_VIEW, SECOND_VIEW = 3, 1, 2
 MAX_LEVELS = 12
@@ -22,7 +26,7 @@ WHOLE = (0.0, 0.0, 1.0, 1.0)
 _MIN_LEVEL_SIDE = 2
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class World:
     """N faces and T textures in flat arrays, ready to be drawn.
 
@@ -51,12 +55,12 @@ class World:
 
 
 class WorldBuilder:
-    """Collects faces and textures; `surroundings` as in `World`."""
+    """Collects faces and textures; `surroundings` as in `World`; `views` are those that show what is added."""
 
     def __init__(self, *, surroundings: Image) -> None:
+        self.views = BOTH_VIEWS
         self._surroundings = surroundings
-        self._faces: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
-        self._flags: list[tuple[int, int, int, int, float, float]] = []
+        self._faces: list[tuple[Any, ...]] = []  # in the order of the fields of `World`
         self._textures: list[Image] = []
 
     def texture(self, image: Image) -> int:
@@ -71,32 +75,27 @@ class WorldBuilder:
         down: Vector,
         texture: int,
         *,
-        area: tuple[float, float, float, float] = WHOLE,
+        area: Part = WHOLE,
         texture_frame: FloatArray | None = None,
         triangle: bool = False,
         mirror: float = 0.0,
-        views: int = BOTH_VIEWS,
         brightness: float = 1.0,
     ) -> None:
         """Add a parallelogram, or of a triangle the half beside the corner; see `World`.
 
         `corner` is the top left one as seen from the front; the edges go right and down. `area` is the part of the
-        texture (left, top, right, bottom), fractions, which repeats beyond [0, 1]; or `texture_frame` (3, 2) is given.
+        texture, fractions, which repeats beyond [0, 1]; or `texture_frame` (3, 2) is given.
         """
-        a, b = np.asarray(across, dtype=np.float64), np.asarray(down, dtype=np.float64)
         left, top, right, bottom = area
-        frame = np.array([[left, top], [right - left, 0.0], [0.0, bottom - top]])
-        frame = frame if texture_frame is None else texture_frame
-        cut_out = int(self._textures[texture].shape[2] == 4)
-        self._faces.append((np.asarray(corner, dtype=np.float64), a, b, frame))
-        self._flags.append((texture, int(triangle), cut_out, views, brightness, mirror))
+        if texture_frame is None:
+            texture_frame = np.array([[left, top], [right - left, 0.0], [0.0, bottom - top]])
+        vectors = (np.asarray(vector, dtype=np.float64) for vector in (corner, across, down))
+        flags = (texture, int(triangle), int(self._textures[texture].shape[2] == 4), self.views)
+        self._faces.append((*vectors, texture_frame, *flags, brightness, mirror))
 
     def build(self) -> World:
         """Return the world; textures are packed with their halved copies, so that far faces do not alias."""
-        corner, across, down, frames = (np.array(column) for column in zip(*self._faces, strict=True))
-        flags = list(zip(*self._flags, strict=True))
-        texture, triangle, cut_out, views = (np.array(column, dtype=np.int64) for column in flags[:4])
-        brightness, mirror = (np.array(column, dtype=np.float64) for column in flags[4:])
+        columns: list[Any] = [np.array(column) for column in zip(*self._faces, strict=True)]
         levels = np.zeros((len(self._textures), MAX_LEVELS, 3), dtype=np.int64)
         texels: list[Image] = []
         used = 0
@@ -107,21 +106,8 @@ class WorldBuilder:
                 texels.append(halved.reshape(-1, 4))
                 used += height * width
             levels[number, level + 1 :] = levels[number, level]
-        return World(
-            corner=corner,
-            across=across,
-            down=down,
-            texture_frame=frames,
-            texture=texture,
-            triangle=triangle,
-            cut_out=cut_out,
-            views=views,
-            brightness=brightness,
-            mirror=mirror,
-            levels=levels,
-            texels=np.concatenate(texels),
-            surroundings=self._surroundings,
-        )
+        columns += [levels, np.concatenate(texels), self._surroundings]
+        return World(*columns)
 
 
 def _halvings(image: Image) -> list[Image]:
@@ -168,41 +154,24 @@ class Frame:
 
 
 def upright(
-    world: WorldBuilder,
-    frame: Frame,
-    a: tuple[float, float],
-    b: tuple[float, float],
-    c: float,
-    *,
-    texture: int,
-    area: tuple[float, float, float, float] = WHOLE,
-    mirror: float = 0.0,
-    views: int = BOTH_VIEWS,
+    world: WorldBuilder, frame: Frame, a: Span, b: Span, c: float, texture: int, area: Part = WHOLE, mirror: float = 0.0
 ) -> None:
     """Add an upright rectangle that faces the viewer of `frame`: a[0] to a[1], b[0] up to b[1], at c."""
     across, down = frame.right * (a[1] - a[0]), np.array([0.0, b[1] - b[0], 0.0])
-    world.face(frame.point(a[0], b[1], c), across, down, texture, area=area, mirror=mirror, views=views)
+    world.face(frame.point(a[0], b[1], c), across, down, texture, area=area, mirror=mirror)
 
 
 def box(
-    world: WorldBuilder,
-    frame: Frame,
-    a: tuple[float, float],
-    b: tuple[float, float],
-    c: tuple[float, float],
-    *,
-    textures: int | tuple[int, int, int],
-    area: tuple[float, float, float, float] = WHOLE,
-    views: int = BOTH_VIEWS,
+    world: WorldBuilder, frame: Frame, a: Span, b: Span, c: Span, *, textures: int | Sequence[int], area: Part = WHOLE
 ) -> None:
-    """Add a box: textures of front and back, of the sides, and of top and bottom."""
+    """Add a box; `textures` are of front and back, of the sides, and of top and bottom, or one of all."""
     front, sides, top = (textures,) * 3 if isinstance(textures, int) else textures
-    upright(world, frame, a, b, c[1], texture=front, area=area, views=views)
+    upright(world, frame, a, b, c[1], texture=front, area=area)
     back = Frame(frame.point(a[1], 0.0, c[0]), -frame.right, -frame.outward)
-    upright(world, back, (0.0, a[1] - a[0]), b, 0.0, texture=front, area=area, views=views)
+    upright(world, back, (0.0, a[1] - a[0]), b, 0.0, texture=front, area=area)
     depth = c[1] - c[0]
     for side in (frame.side(a[1], c[1]), frame.left_side(c[0], a[0])):
-        upright(world, side, (0.0, depth), b, 0.0, texture=sides, area=area, views=views)
+        upright(world, side, (0.0, depth), b, 0.0, texture=sides, area=area)
     across, inward = frame.right * (a[1] - a[0]), frame.outward * depth
-    world.face(frame.point(a[0], b[1], c[0]), across, inward, top, area=area, views=views)
-    world.face(frame.point(a[0], b[0], c[1]), across, -inward, top, area=area, views=views, brightness=0.7)
+    world.face(frame.point(a[0], b[1], c[0]), across, inward, top, area=area)
+    world.face(frame.point(a[0], b[0], c[1]), across, -inward, top, area=area, brightness=0.7)

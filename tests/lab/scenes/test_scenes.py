@@ -142,7 +142,8 @@ def test_the_sun_casts_shadows_and_things_of_one_view_are_in_that_view_only():
     builder, (ground, slab) = builder_of(200, 200)
     builder.face((-30, 2, 40), (60, 0, 0), (0, 0, -60), ground)
     builder.face((-1, 0, 9), (2, 0, 0), (0, 0, -2), slab)
-    plane(builder, slab, 30, 2, views=SECOND_VIEW)
+    builder.views = SECOND_VIEW
+    plane(builder, slab, 30, 2)
     to_sun, camera, world = np.array([1e-3, 1e-3 - 1, 1e-3]), plain_camera(), builder.build()
     drawn = picture(world, camera, Light(to_sun=to_sun / np.linalg.norm(to_sun), ambient=0.5))
     column, row = camera.project(np.array([[0.0, 2.0, 8.0]]))[0][0].astype(int)  # below the slab
