@@ -15,11 +15,7 @@ import yaml
 from epiprior.errors import EpipriorError
 
 # Folder of each pipeline, from the root, and the command that runs it.
-PIPELINES = {
-    "": "make repro",
-    "benchmarks/real": "make real DATA=FOLDER",
-    "benchmarks/sfm": "make sfm DATA=FOLDER",
-}
+PIPELINES = {"": "make repro", "benchmarks/real": "make real DATA=FOLDER", "benchmarks/sfm": "make sfm DATA=FOLDER"}
 
 
 class LockError(EpipriorError):

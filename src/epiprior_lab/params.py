@@ -4,8 +4,9 @@ Every key must be there, of its type and in its range; there are no defaults. A 
 in the same way, and raises pydantic's ``ValidationError``, a ``ValueError``.
 """
 
+import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -43,12 +44,12 @@ Rows = Annotated[int, Field(ge=100, le=10**8)]
 TopK = Annotated[int, Field(ge=8, le=1_000_000)]
 ImageSize = Annotated[int, Field(ge=64, le=8192)]
 
-_STRICT = ConfigDict(extra="forbid", strict=True)
+STRICT = ConfigDict(extra="forbid", strict=True)
 _BASELINES = frozenset({"standard", "generalized"})  # what an estimator gets without the preprocessing step
 _DIFFICULTIES = ("easy", "medium", "hard")
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class EvaluateParams:
     """Which pairs are evaluated, and by which estimators, inputs and seeds.
 
@@ -112,7 +113,7 @@ class EvaluateParams:
         return None if self.control_points is None else Path(self.control_points.format(group=group))
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class TruthParams:
     """When a match counts as right, when a pair decides an F, and what makes a pair easy or hard."""
 
@@ -130,7 +131,7 @@ class TruthParams:
             raise ValueError(f"hard_share = {self.hard_share}: above easy_share = {self.easy_share}")
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class MeasureParams:
     """The normalised symmetric geometric distance."""
 
@@ -138,7 +139,7 @@ class MeasureParams:
     distance_points: Annotated[int, Field(ge=10, le=100_000)]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class KindParams:
     """Pairs of other kinds that the confidence is tried on, and true ones: so many of each, by estimator and input."""
 
@@ -151,7 +152,7 @@ class KindParams:
         _check_known("pairs", self.pairs, KINDS)
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class TimingParams:
     """Pairs and seeds on which time is measured."""
 
@@ -159,7 +160,7 @@ class TimingParams:
     seeds: Listed[Seed]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class GalleryParams:
     """The estimator whose rescued and lost pairs are shown, and how many."""
 
@@ -168,7 +169,7 @@ class GalleryParams:
     lost: Annotated[int, Field(ge=1, le=100)]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class ReportParams:
     """Thresholds of success, the bootstrap and what is shown; groups may be difficulties: easy, medium, hard."""
 
@@ -192,7 +193,7 @@ class ReportParams:
             _check_known(key, (getattr(self, key),), self.thresholds_px)
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class Params:
     """The sections that both pipelines have; those of the photographs have no others."""
 
@@ -214,7 +215,7 @@ class Params:
         _check_known("report.easy_groups", report.easy_groups, groups)
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class PairCounts:
     """Pairs of each family in each split."""
 
@@ -224,7 +225,7 @@ class PairCounts:
     test: Mapping[str, Count]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class SceneParams:
     """Rendered scenes."""
 
@@ -242,7 +243,7 @@ class SceneParams:
                 raise ValueError(f"pairs.{split} counts {sorted(counts)}, expected the families {list(self.families)}")
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class GroundTruthParams:
     """Control points of rendered pairs."""
 
@@ -250,7 +251,7 @@ class GroundTruthParams:
     control_points: Annotated[int, Field(ge=8, le=100_000)]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class FeatureParams:
     """Candidate rows of the training pairs."""
 
@@ -258,7 +259,7 @@ class FeatureParams:
     pair_sets: Listed[str]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class ExportedFamilies:
     """The family of classifiers that each preset ships, and the confidence."""
 
@@ -267,7 +268,7 @@ class ExportedFamilies:
     confidence: str
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class TrainParams:
     """Cross-validation and refit of the classifiers."""
 
@@ -285,7 +286,7 @@ class TrainParams:
             _check_known(f"exported.{preset}", (getattr(self.exported, preset),), self.families)
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class WeightedParams:
     """Estimators that weigh matches by their probabilities, and so may profit from many improbable ones."""
 
@@ -293,7 +294,7 @@ class WeightedParams:
     top_k: Listed[TopK | None]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class HandOverParams:
     """Seeds and candidates of the choice of how matches are handed to each estimator."""
 
@@ -311,7 +312,7 @@ class HandOverParams:
         return self.weighted.top_k if estimator in self.weighted.estimators else self.top_k
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class CascadeParams:
     """Seeds, candidates and tolerances of the rule by which an estimate without preprocessing is kept."""
 
@@ -321,7 +322,7 @@ class CascadeParams:
     min_confidence: Listed[Share]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class ConfidenceParams:
     """What the confidence is learnt from: estimates on true pairs, by `kind_estimators` on pairs of other kinds.
 
@@ -341,7 +342,7 @@ class ConfidenceParams:
         _check_known("kinds", self.kinds, KINDS[1:])
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class AnalysisParams:
     """What the analysis of the method's parts compares, and the named pairs of the paper's Table 1."""
 
@@ -352,7 +353,7 @@ class AnalysisParams:
     table_quantiles: Listed[Share]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class StudyParams(Params):
     """All sections of the study."""
 
@@ -386,30 +387,32 @@ def load_params(path: Path | str = STUDY) -> Params:
     SettingsError if the file cannot be read, or a key is unknown, missing, of a wrong type or out of its range. The
     message names the file, the keys and their values.
     """
-    document = _read(path)
     own = StudyParams.__dataclass_fields__.keys() - Params.__dataclass_fields__.keys()
-    return _checked(StudyParams if isinstance(document, dict) and own & document.keys() else Params, document, path)
+    return read_checked(path, lambda found: StudyParams if isinstance(found, dict) and own & found.keys() else Params)
+
+
+def read_arguments(about: str | None, **options: Any) -> argparse.Namespace:
+    """Return the command line of a stage: paths have a default, all else has to be given, of choices or any text."""
+    parser = argparse.ArgumentParser(description=about)
+    for name, known in options.items():
+        how: dict[str, Any] = {"required": True, "choices": known}
+        parser.add_argument(f"--{name}", **({"type": Path, "default": known} if isinstance(known, Path) else how))
+    return parser.parse_args()
 
 
 def load_study(path: Path | str = STUDY) -> StudyParams:
     """Read and check the parameters of the study, as `load_params` does."""
-    return _checked(StudyParams, _read(path), path)
+    return read_checked(path, lambda _: StudyParams)
 
 
-def _read(path: Path | str) -> Any:
+def read_checked(path: Path | str, schema_of: Callable[[Any], type[Value]]) -> Value:
+    """Read a file by the schema that `schema_of` names for its document; SettingsError as of `load_params`."""
     try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        # As JSON, since strict checks then take lists for tuples, and mappings for sections.
+        return TypeAdapter(schema_of(document)).validate_json(json.dumps(document, default=str))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise SettingsError(f"{path}: cannot be read as YAML: {error}") from error
-
-
-AnyParams = TypeVar("AnyParams", bound=Params)
-
-
-def _checked(schema: type[AnyParams], document: Any, path: Path | str) -> AnyParams:
-    try:
-        # As JSON, since strict checks then take lists for tuples, and mappings for sections.
-        return TypeAdapter(schema).validate_json(json.dumps(document, default=str))
     except ValidationError as error:
         # A list that lost all its values to other errors is not too short.
         found = [part for part in error.errors() if part["type"] != "too_short" or not part["input"]]

@@ -70,32 +70,21 @@ def measure_bag(
         for name, view in bag.named.items():
             (images / name).symlink_to(view.image.resolve())
         start = processor_seconds()
-        features = fill_database(
-            method, images, database, seed=mapper.seed, min_confidence=mapper.min_confidence, learned=learned
-        )
+        how: dict[str, Any] = {"seed": mapper.seed, "min_confidence": mapper.min_confidence, "learned": learned}
+        features = fill_database(method, images, database, **how)
         used = processor_seconds() - start + learned_s
-        seconds: dict[str, Any] = {
-            "features_s": np.nan if learned is not None else features,
-            "matching_s": used - features,
-        }
+        seconds: dict[str, Any] = {"features_s": features if learned is None else np.nan, "matching_s": used - features}
         for kind in reversed(INTRINSICS):
             if kind == "known":
                 with quiet():
                     know_cameras(database, bag.named, verify=method not in MODES, seed=mapper.seed)
             start = processor_seconds()
-            models = map_database(
-                database, images, Path(scratch, "sparse"), seed=mapper.seed, refine=kind == "inferred"
-            )
+            sparse = Path(scratch, "sparse")
+            models = map_database(database, images, sparse, seed=mapper.seed, refine=kind == "inferred")
             seconds["mapping_s"] = processor_seconds() - start
-            about: dict[str, Any] = {
-                "group": bag.group,
-                "scene": bag.scene,
-                "kind": bag.kind,
-                "size": bag.size,
-                "bag": bag.name,
-            }
+            about = {name: getattr(bag, name) for name in ("group", "scene", "kind", "size")}
             found = judge(models[0] if models else None, bag.named, mapper)
-            records.append(BagRecord(**about, method=method, intrinsics=kind, **found, **seconds))
+            records.append(BagRecord(**about, bag=bag.name, method=method, intrinsics=kind, **found, **seconds))
     return records[::-1]
 
 

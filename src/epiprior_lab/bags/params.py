@@ -3,17 +3,14 @@
 As in `epiprior_lab.params`, every key must be there, of its type and in its range; there are no defaults.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-import yaml
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from epiprior.errors import SettingsError
-from epiprior_lab.params import Count, Listed, Seed, Share
+from epiprior_lab.params import STRICT, Count, Listed, Seed, Share, read_checked
 
 PATH = Path("benchmarks/sfm/params.yaml")
 
@@ -22,10 +19,8 @@ Size = Annotated[int, Field(ge=2, le=1000)]
 Filled = Literal["colmap", "snn", "cascade", "preprocess"]
 Learned = Literal["aliked", "disk", "xfeat"]
 
-_STRICT = ConfigDict(extra="forbid", strict=True)
 
-
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class BagParams:
     """Sets over whose pairs bags grow: so many of each size per scene.
 
@@ -42,7 +37,7 @@ class BagParams:
             raise ValueError(f"stranger_size = {self.stranger_size}: not among the sizes of per_scene")
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class TwinParams:
     """Rendered twins: for each of `styles` two houses, each with `pairs` pairs of photographs."""
 
@@ -53,7 +48,7 @@ class TwinParams:
     jpeg_quality: Annotated[int, Field(ge=1, le=100)]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class MethodParams:
     """What fills the database; `learned` matchers do it on bags of `learned_kinds`, plain ones of `learned_sizes`."""
 
@@ -63,7 +58,7 @@ class MethodParams:
     learned_sizes: Listed[Size]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class MapperParams:
     """How every database is mapped, and when what comes out is right.
 
@@ -77,7 +72,7 @@ class MapperParams:
     accuracy_deg: Listed[Degrees]
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class BagReportParams:
     """Totals are over bags of `sizes`; every method is compared with `against`; shares of right X_L make a bag hard."""
 
@@ -89,7 +84,7 @@ class BagReportParams:
     hard_share: Share
 
 
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class SfmParams:
     """All sections."""
 
@@ -109,9 +104,4 @@ class SfmParams:
 
 def load_sfm_params(path: Path | str = PATH) -> SfmParams:
     """Read and check the parameter file; a SettingsError names the file and what is wrong in it."""
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        # As JSON, since strict checks then take lists for tuples, and mappings for sections.
-        return TypeAdapter(SfmParams).validate_json(json.dumps(document, default=str))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValidationError) as error:
-        raise SettingsError(f"{path}: {error}") from error
+    return read_checked(path, lambda _: SfmParams)

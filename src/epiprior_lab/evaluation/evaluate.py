@@ -6,6 +6,7 @@ Each pair, and each pair and estimator, is a task of its own.
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.inputs import MatchFiles, match_folder, store_matches
@@ -45,17 +46,11 @@ def evaluate(
 
 
 def run_pairs(
-    pairs: Sequence[Pair],
-    matched: Sequence[MatchFiles],
-    protocol: Protocol,
-    *,
-    group: str,
-    workers: int = 1,
-    store: Path | None = None,
+    pairs: Sequence[Pair], matched: Sequence[MatchFiles], protocol: Protocol, *, group: str, **how: Any
 ) -> list[RunRecord]:
     """Run every estimator on its inputs of every pair in parallel: one task per pair and estimator.
 
-    `pairs` and `matched` are in one order; other parameters as for `evaluate`.
+    `pairs` and `matched` are in one order; `how` is as for `epiprior_lab.compute.tasks.map_tasks`.
     """
     common = {"group": group, "seeds": protocol.seeds, "truth": protocol.truth, "measures": protocol.measures}
     tasks = []
@@ -66,5 +61,5 @@ def run_pairs(
             own = {"pair": pair, "matches": needed, "estimator": estimator, "hand_overs": hand_overs}
             files = (*pair.files, *needed.paths.values())
             tasks.append(Task(name=f"{pair.pair_id} {estimator}", payload=own | common, files=files))
-    found = map_tasks(run_pair, tasks, workers=workers, description=f"estimate {group}", store=store)
+    found = map_tasks(run_pair, tasks, description=f"estimate {group}", **how)
     return [record for records in found for record in records]

@@ -19,10 +19,9 @@ from epiprior.types import FundamentalEstimate, Geometry, Status
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.inputs import PairMatches, match_detected
 from epiprior_lab.evaluation.records import KindRecord
-from epiprior_lab.evaluation.runs import HandOvers, each_run
+from epiprior_lab.evaluation.runs import HandOvers, each_run, error_px
 from epiprior_lab.evaluation.truth import TruthSettings, pair_truth
 from epiprior_lab.features.detection import detect_images
-from epiprior_lab.labels.ground_truth import errors_px
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.scenes import render_doppelgangers
 from epiprior_lab.scenes.kinds import make_views
@@ -134,28 +133,21 @@ def case_records(
     found = [*runs, *((COLMAP, "snn", one) for one in _colmap(matches))]
     # Errors are meant at working size; control points are given pixels.
     unit = max(matches.pixel_factors)
-    records = []
-    for estimator, name, one in found:
-        error = np.nan
-        if known is not None and one.F is not None:
-            error = float(errors_px(one.F, known.x1, known.x2).mean()) / unit
-        records.append(
-            KindRecord(
-                group=group,
-                pair_id=case.name,
-                scene=case.block,
-                kind=case.kind,
-                estimator=estimator,
-                input=name,
-                status=str(one.status),
-                geometry=str(one.geometry),
-                confidence=one.confidence,
-                support=one.support,
-                matches=len(one.x1),
-                error_px=error,
-            )
+    about = {"group": group, "pair_id": case.name, "scene": case.block, "kind": case.kind}
+    return [
+        KindRecord(
+            **about,
+            estimator=estimator,
+            input=name,
+            status=str(one.status),
+            geometry=str(one.geometry),
+            confidence=one.confidence,
+            support=one.support,
+            matches=len(one.x1),
+            error_px=float("nan") if known is None else error_px(one, known) / unit,
         )
-    return records
+        for estimator, name, one in found
+    ]
 
 
 def _colmap(matches: PairMatches) -> Iterator[FundamentalEstimate]:

@@ -6,7 +6,7 @@ The two are tasks apart: what learned matchers found is kept when the library ch
 import json
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,13 +64,8 @@ def match_by_peers(*, pairs: Sequence[Pair], peers: Sequence[str], python: Path,
         done = subprocess.run([str(python), str(script), str(folder)], capture_output=True, text=True, check=False)
         if done.returncode:
             raise PeerError(f"{script} failed: {done.stderr.strip()[-500:]}")
-        return [
-            [
-                _columns(folder / f"{pair.pair_id}.{peer}.npz", features[pair.image1], features[pair.image2])
-                for peer in peers
-            ]
-            for pair in pairs
-        ]
+        found_of = [(pair.pair_id, features[pair.image1], features[pair.image2]) for pair in pairs]
+        return [[_columns(folder / f"{name}.{peer}.npz", *both) for peer in peers] for name, *both in found_of]
 
 
 def _columns(path: Path, features1: Features, features2: Features) -> Columns:
@@ -117,41 +112,30 @@ def write_peer_matches(
     how: dict[str, Any] = {"workers": workers, "store": store, "description": f"peers of {out.name}"}
     rankers = tuple(name for name in peers if name not in LEARNED)
     if rankers:
-        tasks = [
-            Task(
-                name=_name(part),
-                payload={"pairs": part, "peers": rankers, "python": python, "script": script},
-                files=(*(file for pair in part for file in pair.files), script, *files),
-            )
-            for part in _parts(pairs, _PAIRS_PER_TASK)
-        ]
+        tasks = []
+        for name, part in _parts(pairs, _PAIRS_PER_TASK):
+            payload = {"pairs": part, "peers": rankers, "python": python, "script": script}
+            own = (file for pair in part for file in pair.files)
+            tasks.append(Task(name=name, payload=payload, files=(*own, script, *files)))
         ranked = [found for part in map_tasks(match_by_peers, tasks, **how) for found in part]
         for k, peer in enumerate(rankers):
             _write(out / peer, pairs, [found[k] for found in ranked])
     for peer in (name for name in peers if name in LEARNED):
-        tasks = [
-            Task(
-                name=f"{peer}: {_name(part)}",
-                payload={
-                    "images": tuple((pair.image1, pair.image2) for pair in part),
-                    "peer": peer,
-                    "python": python,
-                    "script": learned_script,
-                },
-                files=(*(file for pair in part for file in (pair.image1, pair.image2)), learned_script, *files),
-            )
-            for part in _parts(pairs, _LEARNED_PAIRS_PER_TASK)
-        ]
+        tasks = []
+        for name, part in _parts(pairs, _LEARNED_PAIRS_PER_TASK):
+            images = tuple((pair.image1, pair.image2) for pair in part)
+            payload = {"images": images, "peer": peer, "python": python, "script": learned_script}
+            own = (file for both in images for file in both)
+            tasks.append(Task(name=f"{peer}: {name}", payload=payload, files=(*own, learned_script, *files)))
         matched = map_tasks(match_learned, tasks, versions=False, **how)
         _write(out / peer, pairs, [found for part in matched for found in part])
 
 
-def _parts(pairs: Sequence[Pair], size: int) -> list[tuple[Pair, ...]]:
-    return [tuple(pairs[k : k + size]) for k in range(0, len(pairs), size)]
-
-
-def _name(part: Sequence[Pair]) -> str:
-    return f"{part[0].pair_id} and {len(part) - 1} more"
+def _parts(pairs: Sequence[Pair], size: int) -> Iterator[tuple[str, tuple[Pair, ...]]]:
+    """Yield parts of so many pairs, each with a name for its task."""
+    for k in range(0, len(pairs), size):
+        part = tuple(pairs[k : k + size])
+        yield f"{part[0].pair_id} and {len(part) - 1} more", part
 
 
 def _write(folder: Path, pairs: Sequence[Pair], found: Sequence[Columns]) -> None:

@@ -8,10 +8,10 @@ from epiprior.errors import SettingsError
 from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.presets import PRESETS, find_preset
 from epiprior_lab.evaluation.learned import LEARNED
-from epiprior_lab.evaluation.runs import EstimatorInputs, HandOvers, MeasureSettings
-from epiprior_lab.evaluation.truth import TruthSettings, truth_settings
+from epiprior_lab.evaluation.runs import EstimatorInputs, HandOvers
+from epiprior_lab.evaluation.truth import TruthSettings
 from epiprior_lab.pairsets import Pair, read_pair_set
-from epiprior_lab.params import EvaluateParams, Params
+from epiprior_lab.params import EvaluateParams, MeasureParams, Params
 
 MODELS = Path("models")
 PEERS = Path("data/peers")
@@ -32,7 +32,7 @@ class Protocol:
     seeds: tuple[int, ...]
     hand_overs: HandOvers
     truth: TruthSettings = field(default_factory=TruthSettings)
-    measures: MeasureSettings = field(default_factory=MeasureSettings)
+    measures: MeasureParams = field(default_factory=lambda: MeasureParams(seed=16, distance_points=1000))
     peers: Path | None = None
 
     @property
@@ -60,8 +60,8 @@ def make_protocol(params: Params) -> Protocol:
             estimator: {name: HandOver() if name in whole else chosen[estimator][_chosen(name)] for name in names}
             for estimator, names in evaluate.inputs_and_peers.items()
         },
-        truth=truth_settings(params.truth),
-        measures=MeasureSettings(seed=params.measures.seed, distance_points=params.measures.distance_points),
+        truth=TruthSettings.of(params.truth),
+        measures=params.measures,
         peers=PEERS,
     )
 

@@ -65,7 +65,7 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
     for name in sets if known.labels else ():
         ranked = best_hypothesis(sets[name])
         scales = (np.nan_to_num(scale) for scale in (ranked.scale1, ranked.scale2))  # a peer's may be unknown
-        right = label_matches(pair, ranked.x1, ranked.x2, *scales, settings=truth.labels)
+        right = label_matches(pair, ranked.x1, ranked.x2, *scales, settings=truth)
         if name == "standard":
             share = float(right.mean()) if len(right) else 0.0
         orders = ranking_orders(ranked) if name in PRESETS else {"final": np.arange(len(ranked))}

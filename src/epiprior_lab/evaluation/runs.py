@@ -1,7 +1,6 @@
 """Runs of estimators on the inputs of a pair, and how far each is from the truth. The loop over both is here alone."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,18 +17,11 @@ from epiprior_lab.evaluation.records import RunRecord
 from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
 from epiprior_lab.labels.ground_truth import errors_px
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import MeasureParams
 
 EstimatorInputs = Mapping[str, Sequence[str]]
 HandOvers = Mapping[str, Mapping[str, HandOver]]  # by estimator, then by input
 Result = TypeVar("Result")
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeasureSettings:
-    """Random points of the normalised symmetric geometric distance."""
-
-    seed: int = 16
-    distance_points: int = 1000
 
 
 def each_run(
@@ -67,13 +59,7 @@ def error_px(estimate: FundamentalEstimate, truth: Truth) -> float:
 
 
 def run_record(
-    estimate: FundamentalEstimate,
-    pair: Pair,
-    truth: Truth,
-    measures: MeasureSettings,
-    *,
-    threshold_px: float,
-    **key: Any,
+    estimate: FundamentalEstimate, pair: Pair, truth: Truth, measures: MeasureParams, *, threshold_px: float, **key: Any
 ) -> RunRecord:
     """Measure one estimate in every way that the truth of the pair allows.
 
@@ -81,30 +67,23 @@ def run_record(
     within `threshold_px` choose among the four poses of F. `key` is group, estimator, input and seed.
     """
     F, cameras = estimate.F, (pair.camera1, pair.camera2)
-    mean = median = distance = rotation = translation = float("nan")
+    names = ("error_px", "median_error_px", "distance", "rotation_deg", "translation_deg")
+    measured: dict[str, Any] = dict.fromkeys(names, np.nan)
     if F is not None:
         errors = errors_px(F, truth.x1, truth.x2)
-        mean, median = float(errors.mean()), float(np.median(errors))
+        measured |= {"error_px": float(errors.mean()), "median_error_px": float(np.median(errors))}
         if truth.F is not None:
             child = child_seed(measures.seed, pair.pair_id)
-            distance = symmetric_distance(F, truth.F, pair.sizes(), points=measures.distance_points, seed=child)
+            how = {"points": measures.distance_points, "seed": child}
+            measured["distance"] = symmetric_distance(F, truth.F, pair.sizes(), **how)
         if cameras[0] is not None and cameras[1] is not None:
             near = sampson_distance(F, estimate.x1, estimate.x2) < threshold_px
-            rotation, translation = pose_errors(F, (cameras[0], cameras[1]), estimate.x1[near], estimate.x2[near])
-    return RunRecord(
-        **key,
-        **{name: getattr(estimate, name) for name in ("support", "confidence", "iterations")},
-        pair_id=pair.pair_id,
-        scene=pair.scene,
-        status=str(estimate.status),
-        geometry=str(estimate.geometry),
-        matches=len(estimate.x1),
-        error_px=mean,
-        median_error_px=median,
-        distance=distance,
-        rotation_deg=rotation,
-        translation_deg=translation,
-    )
+            errors_deg = pose_errors(F, (cameras[0], cameras[1]), estimate.x1[near], estimate.x2[near])
+            measured["rotation_deg"], measured["translation_deg"] = errors_deg
+    key |= {"pair_id": pair.pair_id, "scene": pair.scene, "matches": len(estimate.x1)}
+    key |= {"status": str(estimate.status), "geometry": str(estimate.geometry)}
+    key |= {name: getattr(estimate, name) for name in ("support", "confidence", "iterations")}
+    return RunRecord(**key, **measured)
 
 
 def run_pair(
@@ -116,7 +95,7 @@ def run_pair(
     hand_overs: Mapping[str, HandOver],
     group: str,
     truth: TruthSettings,
-    measures: MeasureSettings,
+    measures: MeasureParams,
 ) -> list[RunRecord]:
     """Return one record per input and seed of one estimator; parameters as for `estimates` and `run_record`."""
     read, known = matches.read(), pair_truth(pair, truth)

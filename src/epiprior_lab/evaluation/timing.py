@@ -4,10 +4,9 @@ One process, one pair at a time (after the paper's figure of time overhead); no 
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from epiprior.features.images import load_photograph
 from epiprior.types import FundamentalEstimate, Status
@@ -20,6 +19,8 @@ from epiprior_lab.evaluation.runs import error_px, estimates
 from epiprior_lab.evaluation.truth import pair_truth
 from epiprior_lab.features.detection import detect_pair
 from epiprior_lab.pairsets import Pair
+
+Seconds = Mapping[str, float]
 
 
 def spread_pairs(pairs: Sequence[Pair], count: int) -> list[Pair]:
@@ -40,9 +41,8 @@ def time_pair(
         detected = detect_pair(pair, inputs.detection_of(name))
         middle = time.perf_counter()
         matches = inputs.match_pair(pair, (name,), detected=detected)
-        features, matching = middle - start, time.perf_counter() - middle
-        how: dict[str, Any] = {"group": group, "seeds": seeds, "features": features, "matching": matching}
-        for record, estimate in _time_estimators(pair, protocol, matches, **how):
+        before = {"seconds_features": middle - start, "seconds_matching": time.perf_counter() - middle}
+        for record, estimate in _time_estimators(pair, protocol, matches, group=group, seeds=seeds, before=before):
             found[record.estimator, record.seed, name] = record, estimate
     records = [record for record, _ in found.values()]
     for (estimator, seed, name), first in found.items():
@@ -75,22 +75,16 @@ def time_learned_pairs(
         counts = (int(columns["features"][0]), int(columns["features"][1]))
         factors = photographs[0].factor, photographs[1].factor
         matches = inputs.PairMatches(sets={peer: (found,)}, features={peer: counts}, pixel_factors=factors)
-        how: dict[str, Any] = {"group": group, "seeds": seeds, "features": features, "matching": matching}
-        records += [record for record, _ in _time_estimators(pair, protocol, matches, **how)]
+        before = {"seconds_features": features, "seconds_matching": matching}
+        timed = _time_estimators(pair, protocol, matches, group=group, seeds=seeds, before=before)
+        records += [record for record, _ in timed]
     return records
 
 
 def _time_estimators(
-    pair: Pair,
-    protocol: Protocol,
-    matches: inputs.PairMatches,
-    *,
-    group: str,
-    seeds: Sequence[int],
-    features: float,
-    matching: float,
+    pair: Pair, protocol: Protocol, matches: inputs.PairMatches, *, group: str, seeds: Sequence[int], before: Seconds
 ) -> Iterator[tuple[TimingRecord, FundamentalEstimate]]:
-    """Run every estimator that gets the one input of `matches`; seconds before it are given."""
+    """Run every estimator that gets the one input of `matches`; the seconds `before` it are given by column."""
     (name,), truth = matches.sets, pair_truth(pair, protocol.truth)
     for estimator in (e for e, names in protocol.inputs.items() if name in names):
         how = protocol.hand_overs[estimator]
@@ -103,10 +97,9 @@ def _time_estimators(
                 estimator=estimator,
                 input=name,
                 seed=seed,
-                seconds_features=features,
-                seconds_matching=matching,
+                **before,
                 seconds_estimator=running,
-                seconds_total=features + matching + running,
+                seconds_total=sum(before.values()) + running,
                 preprocessed=name in inputs.PRESETS,
                 error_px=error_px(estimate, truth),
             )

@@ -3,8 +3,8 @@
 How hard follows from the ground truth alone, the share of right matches in X_L: successes would select the result.
 """
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+import contextlib
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,9 +15,6 @@ from epiprior_lab.evaluation.distances import points_on_lines
 from epiprior_lab.labels.ground_truth import LabelSettings, reference_fundamental
 from epiprior_lab.pairsets import DatasetError, Pair, transfer_distance
 
-if TYPE_CHECKING:
-    from epiprior_lab.params import TruthParams
-
 _BESIDE_PLANE = 3
 _BESIDE_PLANE_SHARE = 0.05
 _GRID = 10
@@ -26,20 +23,20 @@ _LABELS = {"3D": "depth", "plane": "plane", "epipolar": "epipolar"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class TruthSettings:
+class TruthSettings(LabelSettings):
     """When a match is right, when a pair decides an F, and what makes a pair easy or hard.
 
     Control points within `plane_px` of one homography lie on one plane, and so do those of the pairs in `one_plane`.
     More than `easy_share` of X_L is right: easy; less than `hard_share`: hard.
     """
 
-    labels: LabelSettings = field(default_factory=LabelSettings)
     plane_px: float = 3.0
-    one_plane: tuple[str, ...] = ()
+    one_plane: tuple[str, ...] | None = None
     easy_share: float = 0.5
     hard_share: float = 0.2
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.hard_share > self.easy_share:
             raise SettingsError(f"hard_share = {self.hard_share}: above easy_share = {self.easy_share}")
 
@@ -50,17 +47,6 @@ class TruthSettings:
         if right_share > self.easy_share:
             return "easy"
         return "hard" if right_share < self.hard_share else "medium"
-
-
-def truth_settings(params: "TruthParams") -> TruthSettings:
-    """Return the settings of a parameter file."""
-    return TruthSettings(
-        labels=LabelSettings.of(params),
-        plane_px=params.plane_px,
-        one_plane=params.one_plane or (),
-        easy_share=params.easy_share,
-        hard_share=params.hard_share,
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,14 +70,12 @@ def pair_truth(pair: Pair, settings: TruthSettings) -> Truth:
     DatasetError if the pair has neither control points nor cameras nor an F, or a file is damaged.
     """
     x1, x2 = evaluation_points(pair)
-    F = None
+    F = None  # also of too few control points, or one centre of both cameras
     fitted = pair.camera1 is None and pair.fundamental_path is None
-    flat = fitted and (pair.pair_id in settings.one_plane or on_one_plane(x1, x2, settings.plane_px))
+    flat = fitted and (pair.pair_id in (settings.one_plane or ()) or on_one_plane(x1, x2, settings.plane_px))
     if pair.homography_path is None and not flat:
-        try:
+        with contextlib.suppress(DatasetError):
             F = reference_fundamental(pair)
-        except DatasetError:
-            F = None  # too few control points, or one centre of both cameras
     labels = _LABELS[pair.truth]
     if labels == "epipolar":
         labels = "" if F is None else "control_points" if fitted else labels

@@ -68,16 +68,11 @@ def export_confidence(
             (name, *(f"{item['metrics'][name]['calibrated']:.4f}" for item in items))
             for name in ("accuracy", "precision", "log_loss", "brier_score", "expected_calibration_error")
         ]
+        values = {"right": right, "flat": flat, "least": least, "floor": floor, "accepted": accepted, "data": data}
+        values |= {"rows": data["confidence_rows"], "positive": data["confidence_right"]}
         return _CARD.format(
+            **values,
             columns="\n".join(f"- `{t}`: {', '.join(manifest[t]['features'])}" for t in CONFIDENCE_TARGETS),
-            right=right,
-            flat=flat,
-            least=least,
-            floor=floor,
-            accepted=accepted,
-            data=data,
-            rows=data["confidence_rows"],
-            positive=data["confidence_right"],
             counts=", ".join(f"{count} {kind}" for kind, count in counts.items()),
             measures="\n".join(f"| {' | '.join(row)} |" for row in measured),
             versions=", ".join(f"{library} {number}" for library, number in manifest["library_versions"].items()),

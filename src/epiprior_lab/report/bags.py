@@ -1,6 +1,7 @@
 """The report on bags of photographs: tables, one figure, a page; the small table is that of the README too."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +18,7 @@ from epiprior_lab.report.page import Page, Section, Table, picture, say
 from epiprior_lab.report.results import interval_columns
 from epiprior_lab.report.style import DOTS, label_grid, legend, styled
 from epiprior_lab.report.tables import write_table
-from epiprior_lab.report.text import (
-    ALL,
-    DIFFICULTIES,
-    INPUTS,
-    Look,
-    best_bold,
-    interval,
-    number,
-    order_of,
-    share,
-)
+from epiprior_lab.report.text import ALL, DIFFICULTIES, INPUTS, best_bold, interval, number, order_of, share
 
 TITLE = "Structure from motion on bags of photographs"
 METHOD_TITLES: Mapping[str, str] = {
@@ -49,23 +40,18 @@ def write_bag_report(records: _Frame, methods: Sequence[str], params: BagReportP
     as not present.
     """
     summary, intruders = summary_table(records, params), intruder_table(records)
-    for name, table in {
-        "bags": records.drop(columns=list(SECONDS)),
-        "summary": summary,
-        "intruders": intruders,
-    }.items():
+    tables = {"bags": records.drop(columns=list(SECONDS)), "summary": summary, "intruders": intruders}
+    for name, table in tables.items():
         write_table(table, out / "tables" / f"{name}.csv")
     bag_figure(summary, out / "figures" / "bags.png")
     write_table(records[["bag", "method", "intrinsics", *SECONDS]], out / "timings" / "seconds.csv")
     times = Section(title="Processor time", blocks=[say("sfm times"), _times(records, params)])
-    Page(title=f"{TITLE}: time", about=say("sfm time"), sections=[times]).write(
-        out / "timings", markdown="times.md", html=""
-    )
-    sizes = " and ".join(map(str, params.sizes))
+    page = Page(title=f"{TITLE}: time", about=say("sfm time"), sections=[times])
+    page.write(out / "timings", markdown="times.md", html="")
+    small = small_table(summary, intruders, methods, params.sizes)
     sections = [
         Section(
-            title="How well it works",
-            blocks=[say("sfm summary", sizes=sizes), small_table(summary, intruders, methods, params.sizes)],
+            title="How well it works", blocks=[say("sfm summary", sizes=" and ".join(map(str, params.sizes))), small]
         ),
         Section(title="By size and difficulty", blocks=[picture("bags", "figures/bags.png"), *_by_selection(summary)]),
     ]
@@ -130,11 +116,8 @@ def intruder_table(records: _Frame) -> _Frame:
     """
     table = records[records["kind"] != PLAIN]
     table = table.assign(bags=1, taken=(table["strangers"] > 0).astype(int))
-    keys, sums = (
-        ["kind", "intrinsics", "method"],
-        ["bags", "others", "strangers", "taken", "images", "registered", "wrong"],
-    )
-    return table.groupby(keys, sort=False)[sums].sum().reset_index()
+    sums = ["bags", "others", "strangers", "taken", "images", "registered", "wrong"]
+    return table.groupby(["kind", "intrinsics", "method"], sort=False)[sums].sum().reset_index()
 
 
 def small_table(summary: _Frame, intruders: _Frame, methods: Sequence[str], sizes: Sequence[int]) -> Table:
@@ -153,10 +136,8 @@ def small_table(summary: _Frame, intruders: _Frame, methods: Sequence[str], size
         columns.append(best_bold([row["registered"] - row["wrong"] if row else np.nan for row in own], 0))
         columns.append([str(row["wrong"]) if row else "" for row in own])
         columns.append(best_bold([row["accuracy"] if row else np.nan for row in own], 2))
-    for kind, title, column, of in (
-        (STRANGER, "strangers", "strangers", "others"),
-        (TWINS, "twins joined", "taken", "bags"),
-    ):
+    counts = ((STRANGER, "strangers", "strangers", "others"), (TWINS, "twins joined", "taken", "bags"))
+    for kind, title, column, of in counts:
         rows = [taken.get((kind, name)) for name in there]
         head.append(title)
         columns.append([f"{row[column]} of {row[of]}" if row else "" for row in rows])
@@ -169,10 +150,7 @@ def bag_figure(summary: _Frame, path: Path) -> None:
     """Draw both measures with intervals: a row per kind of intrinsics, a column per measure, a dot per method."""
     shown = [name for name in order_of(summary["selection"]) if name in (*DIFFICULTIES, ALL) or " " in name]
     methods = sorted(order_of(summary["method"]), key=list(METHOD_TITLES).index)
-    looks = {}
-    for name in methods:
-        look = INPUTS[_LOOKS.get(name, name)]
-        looks[name] = Look(METHOD_TITLES[name], look.colour, "none", look.marker)
+    looks = {n: replace(INPUTS[_LOOKS.get(n, n)], label=METHOD_TITLES[n], line="none") for n in methods}
     y = np.arange(len(shown), dtype=np.float64)[::-1]
     with styled(path, 2, 2, (8.4, 0.55 * len(shown) * 2 + 1.2), sharex=True, sharey=True) as (figure, axes):
         for axis_row, kind in zip(axes, INTRINSICS, strict=True):

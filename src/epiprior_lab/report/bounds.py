@@ -143,7 +143,7 @@ def _confidence(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
         return {}
     table = tables["confidence"]
     row = table[(table["estimator"] == ALL) & (table["score"] == "confidence")].iloc[0]
-    return _reached(bound, float(row[_OF_CONFIDENCE[bound.measure]]))
+    return _reached(bound, float(row[_OF_CONFIDENCE[bound.measure][0]]))
 
 
 def _cascade_lost(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
@@ -159,21 +159,16 @@ def _reached(bound: Bound, found: float) -> dict[str, Any]:
     return {"found": found, "met": met}
 
 
-_OF_CONFIDENCE: Mapping[str, str] = {  # column of its table
-    "right_kept": "kept",
-    "auc": "auc",
-    "calibration": "calibration_error",
-    "flat_told": "flat_told",
-    "false_flat": "false_flat",
-    "copies_told": "copies_told",
+_OF_CONFIDENCE: Mapping[str, tuple[str, str]] = {  # column of its table, and sentence
+    "right_kept": ("kept", "at least {wanted:g} of right F kept where 1 % of the unrelated pairs are accepted"),
+    "auc": ("auc", "area under the ROC of the confidence at least {wanted:g}: right F against wrong and unrelated"),
+    "calibration": ("calibration_error", "calibration error of the confidence at most {wanted:g}"),
+    "flat_told": ("flat_told", "at least {wanted:g} of planes and rotations told as such"),
+    "false_flat": ("false_flat", "at most {wanted:g} of right F told as planes, rotations or copies"),
+    "copies_told": ("copies_told", "at least {wanted:g} of copies told as such"),
 }
 _SENTENCES: Mapping[str, str] = {
-    "right_kept": "at least {wanted:g} of right F kept where 1 % of the unrelated pairs are accepted",
-    "auc": "area under the ROC of the confidence at least {wanted:g}: right F against wrong and unrelated",
-    "calibration": "calibration error of the confidence at most {wanted:g}",
-    "flat_told": "at least {wanted:g} of planes and rotations told as such",
-    "false_flat": "at most {wanted:g} of right F told as planes, rotations or copies",
-    "copies_told": "at least {wanted:g} of copies told as such",
+    **{measure: sentence for measure, (_, sentence) in _OF_CONFIDENCE.items()},
     "cascade_lost": "the cascade loses at most {wanted:g} of the pairs to always preprocessing: {where}",
     "time": "median time with preprocessing at most {wanted:g} times that without",
     "cascade_time": "median time of the cascade at most {wanted:g} times that without",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
-from epiprior.types import BoolArray, Status
+from epiprior.types import FloatArray, IntArray, Status
 from epiprior_lab.evaluation.inputs import match_pair
 from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.runs import estimates
@@ -23,6 +23,7 @@ from epiprior_lab.report.tables import SNN
 from epiprior_lab.report.text import BASELINES, OURS, input_title, share
 
 RESCUED, LOST = "rescued", "lost"
+Side = dict[str, FloatArray]  # by input, ours last: shares of successful runs of an estimator, of every pair
 _BLANK = 235
 _SETTINGS = DrawSettings(max_matches=60, max_panel_size=560)
 
@@ -62,63 +63,56 @@ def choose_cases(results: Results, estimator: str, *, rescued: int, lost: int, s
     as possible, against the input without preprocessing or against `SNN`, whichever more of them lose against; drawn
     is the given estimator where it is among them, otherwise the one that loses most runs.
     """
-    runs = _Runs(results, success_px)
-    pairs = results.tables.pairs
+    pairs, counted = results.tables.pairs, results.masks["all"]
+    keys = ["group", "pair_id", "estimator", "input", "seed"]
+    status = results.tables.runs.set_index(keys)["status"].to_dict()
     order = pairs.assign(rank=pairs["right_share"].fillna(1.0)).sort_values(["rank", "group", "pair_id"], kind="stable")
-    counted = results.masks["all"]
     places = [int(str(k)) for k in order.index if counted[int(str(k))]]
-    found = [runs.case(RESCUED, k, estimator, BASELINES[0]) for k in places]
+    sides = {against: _sides(results, against, success_px) for against in (BASELINES[0], SNN)}
+    found = [_case(results, status, RESCUED, k, estimator, sides[BASELINES[0]]) for k in places]
     shown = [c for c in found if c.succeeded[0] < 0.5 < c.succeeded[1] and c.statuses[1] == Status.OK][:rescued]
-    numbers = {against: np.sum(list(losing.values()), axis=0) for against, losing in runs.losing.items() if losing}
+    losing = {name: [_changing(LOST, side) for side in own.values()] for name, own in sides.items() if own}
+    numbers = {name: np.sum(own, axis=0) for name, own in losing.items()}
     most = np.max(list(numbers.values()), axis=0)
     for k in sorted((k for k in places if most[k]), key=lambda k: -most[k])[:lost]:
-        against = max(numbers, key=lambda name: numbers[name][k])
-        cases = [runs.case(LOST, k, e, against) for e, losing in runs.losing[against].items() if losing[k]]
+        own = sides[max(numbers, key=lambda name: numbers[name][k])]
+        cases = [_case(results, status, LOST, k, e, own) for e, side in own.items() if _changing(LOST, side)[k]]
         shown.append(min(cases, key=lambda c: (c.estimator != estimator, c.succeeded[1] - c.succeeded[0])))
     return shown
 
 
-class _Runs:
-    """Shares of successful runs of every pair, in the order of the pairs, and who changes sides."""
+def _sides(results: Results, against: str, success_px: float) -> dict[str, Side]:
+    """Return both inputs of each estimator that gets the other one, and the shares of its runs that succeed."""
+    names = {e: results.inputs(e)[0] if against == BASELINES[0] else against for e in results.estimators}
+    return {
+        e: {name: results.errors.of(e, name, success_px) for name in (other, OURS)}
+        for e, other in names.items()
+        if {other, OURS} <= set(results.inputs(e))
+    }
 
-    def __init__(self, results: Results, success_px: float) -> None:
-        self._results, self._pairs = results, results.tables.pairs
-        keys = ["group", "pair_id", "estimator", "input", "seed"]
-        self._status = results.tables.runs.set_index(keys)["status"].to_dict()
-        self._seeds = sorted(results.tables.runs["seed"].unique())
-        self._share = {
-            (e, name): results.errors.of(e, name, success_px) for e in results.estimators for name in results.inputs(e)
-        }
-        self.losing = {against: self._changing(LOST, against) for against in (BASELINES[0], SNN)}
-        self._rescued = self._changing(RESCUED, BASELINES[0])
 
-    def _inputs(self, estimator: str, against: str) -> tuple[str, str]:
-        return (self._results.inputs(estimator)[0] if against == BASELINES[0] else against, OURS)
+def _changing(kind: str, side: Side) -> IntArray:
+    """Return which pairs an estimator rescues or loses, as 0 and 1."""
+    other, ours = side.values()
+    fails, works = (other, ours) if kind == RESCUED else (ours, other)
+    return ((fails < 0.5) & (works > 0.5)).astype(np.int64)
 
-    def _changing(self, kind: str, against: str) -> dict[str, BoolArray]:
-        """Return, for each estimator that gets the other input, which pairs it rescues or loses."""
-        changing = {}
-        for estimator in self._results.estimators:
-            other, ours = (self._share.get((estimator, name)) for name in self._inputs(estimator, against))
-            if other is not None and ours is not None:
-                fails, works = (other, ours) if kind == RESCUED else (ours, other)
-                changing[estimator] = (fails < 0.5) & (works > 0.5)
-        return changing
 
-    def case(self, kind: str, place: int, estimator: str, against: str) -> Case:
-        """Return one pair as one estimator sees it."""
-        pair, inputs = self._pairs.iloc[place], self._inputs(estimator, against)
-        changing = self._rescued if kind == RESCUED else self.losing[against]
-        errors = [self._results.errors.values(estimator, name)[place] for name in inputs]
-        seeds = [int(self._seeds[np.argsort(e, kind="stable")[(len(e) - 1) // 2]]) for e in errors]
-        key = (pair["group"], pair["pair_id"], estimator)
-        statuses = [str(self._status[(*key, name, seed)]) for name, seed in zip(inputs, seeds, strict=True)]
-        shares = [float(self._share[estimator, name][place]) for name in inputs]
-        about = {name: str(pair[name]) for name in ("group", "pair_id", "difficulty")}
-        drawn = {"succeeded": tuple(shares), "seeds": tuple(seeds), "statuses": tuple(statuses)}
-        number = sum(bool(members[place]) for members in changing.values())
-        own: dict[str, Any] = {**about, **drawn, "right_share": float(pair["right_share"])}
-        return Case(kind=kind, estimator=estimator, inputs=inputs, changed=number, of=len(changing), **own)
+def _case(
+    results: Results, status: Mapping[Any, str], kind: str, place: int, estimator: str, sides: Mapping[str, Side]
+) -> Case:
+    """Return one pair as one estimator sees it; `status` is by the keys of a run."""
+    pair, inputs = results.tables.pairs.iloc[place], tuple(sides[estimator])
+    known = sorted(results.tables.runs["seed"].unique())
+    errors = [results.errors.values(estimator, name)[place] for name in inputs]
+    seeds = [int(known[np.argsort(e, kind="stable")[(len(e) - 1) // 2]]) for e in errors]
+    key = (pair["group"], pair["pair_id"], estimator)
+    own: dict[str, Any] = {name: str(pair[name]) for name in ("group", "pair_id", "difficulty")}
+    own |= {"inputs": inputs, "seeds": tuple(seeds), "right_share": float(pair["right_share"])}
+    own["statuses"] = tuple(str(status[(*key, name, seed)]) for name, seed in zip(inputs, seeds, strict=True))
+    own["succeeded"] = tuple(float(share[place]) for share in sides[estimator].values())
+    changed = sum(int(_changing(kind, side)[place]) for side in sides.values())
+    return Case(kind=kind, estimator=estimator, changed=changed, of=len(sides), **own)
 
 
 def draw_cases(

@@ -1,6 +1,6 @@
 """A page is built once, as sections of prose, tables and figures, and rendered as Markdown and as HTML.
 
-Its prose is kept in ``templates/prose.md``.
+Its prose is kept in ``templates/prose.yaml``.
 """
 
 import functools
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import yaml
 from markdown_it import MarkdownIt
 from markupsafe import Markup
 
@@ -81,12 +82,8 @@ class Page:
 
 @functools.cache
 def _texts() -> dict[str, str]:
-    text = (resources.files("epiprior_lab.report") / "templates" / "prose.md").read_text(encoding="utf-8")
-    found: dict[str, str] = {}
-    for part in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
-        name, _, body = part.partition("\n")
-        # A line that neither follows an empty one nor starts an item belongs to the line before it.
-        found[name] = re.sub(r"(?<!\n)\n(?!\n|- )", " ", body.strip())
+    file = resources.files("epiprior_lab.report") / "templates" / "prose.yaml"
+    found: dict[str, str] = yaml.safe_load(file.read_text(encoding="utf-8"))
     return found
 
 
@@ -97,8 +94,8 @@ def say(name: str, **values: Any) -> str:
 
 def picture(name: str, path: str, **values: Any) -> Picture:
     """Return a picture with its text and caption."""
-    alt, _, caption = say(f"figure {name}", **values).partition("\n\n")
-    return Picture(path=path, alt=alt, caption=caption)
+    caption = _texts().get(f"caption {name}", "").format(**values)
+    return Picture(path=path, alt=say(f"alt {name}"), caption=caption)
 
 
 def table_lines(table: Table) -> list[str]:

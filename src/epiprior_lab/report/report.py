@@ -8,9 +8,7 @@ import pandas as pd
 
 from epiprior_lab.evaluation.records import Tables
 from epiprior_lab.params import ReportParams
-from epiprior_lab.report import figures, tables
-from epiprior_lab.report import method_sections as method
-from epiprior_lab.report import result_sections as shown
+from epiprior_lab.report import figures, sections, tables
 from epiprior_lab.report.bounds import judge
 from epiprior_lab.report.cascade import cascade_table
 from epiprior_lab.report.confidence import confidence_figure, confidence_table, kind_table
@@ -104,27 +102,27 @@ def all_sections(material: Material) -> list[Section]:
     """
     # Title, what makes the section, and the table that it needs.
     makers: list[tuple[str, Maker, str | None]] = [
-        ("How well it works", shown.summary, None),
+        ("How well it works", sections.summary, None),
         ("A rescued pair", _plain("example", "example"), None),
-        ("Successes", shown.successes, None),
-        ("Against every other estimator", shown.duels, "duels"),
-        ("Poses and distances", shown.poses, None),
-        ("Rankings", shown.rankings, None),
-        ("Calibration", shown.calibration, None),
-        ("Cascade", shown.cascade, CASCADE),
-        ("Turned and shrunk photographs", shown.changed, "changed"),
+        ("Successes", sections.successes, None),
+        ("Against every other estimator", sections.duels, "duels"),
+        ("Poses and distances", sections.poses, None),
+        ("Rankings", sections.rankings, None),
+        ("Calibration", sections.calibration, None),
+        ("Cascade", sections.cascade, CASCADE),
+        ("Turned and shrunk photographs", sections.changed, "changed"),
         ("Time", _plain("time", "decision", "overhead", "estimators"), None),
-        ("Pairs", method.pairs, None),
-        ("How it was measured", method.method, None),
-        ("Hand-over", method.hand_over, "hand_over"),
-        ("Classifiers", method.classifiers, "classifiers"),
+        ("Pairs", sections.pairs, None),
+        ("How it was measured", sections.method, None),
+        ("Hand-over", sections.hand_over, "hand_over"),
+        ("Classifiers", sections.classifiers, "classifiers"),
         ("Roll", _plain("roll", "roll"), None),
         ("Analysis", _plain("analysis", "steps", "ablations", "limits"), None),
-        ("Confidence", method.confidence, "confidence"),
-        ("Verification", method.statuses, None),
-        ("What limits the results", method.limits, "limits"),
-        ("Gallery", method.gallery, None),
-        ("Bounds", method.bounds, "bounds"),
+        ("Confidence", sections.confidence, "confidence"),
+        ("Verification", sections.statuses, None),
+        ("What limits the results", sections.limits, "limits"),
+        ("Gallery", sections.gallery, None),
+        ("Bounds", sections.bounds, "bounds"),
     ]
     return [
         Section(title=title, blocks=[block for block in make(material) if block])

@@ -7,7 +7,7 @@ Baselines are searched as carefully as ranked matches. Matching is done once per
 pair and estimator, and measures F alone: its status, support and plausibility, half of the time, decide nothing here.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -29,6 +29,7 @@ from epiprior_lab.params import HandOverParams
 Place = tuple[str, str]  # estimator and input
 Known = Mapping[str, tuple[HandOver, Sequence[float]]]  # per input, what was tried and its errors
 Candidates = dict[str, list[tuple[str, HandOver]]]  # per estimator, by input
+Coordinates = list[tuple[str, tuple[Any, ...]]]  # settings that are varied, in order, with their values
 
 SUCCESS_PX = 10.0
 STRICT_PX = 3.0
@@ -95,7 +96,7 @@ def trial_table(best: Mapping[Place, Trial], trials: Sequence[Trial]) -> pd.Data
     return pd.DataFrame(rows)
 
 
-def coordinates(estimator: str, name: str, params: HandOverParams) -> list[tuple[str, tuple[Any, ...]]]:
+def coordinates(estimator: str, name: str, params: HandOverParams) -> Coordinates:
     """Return the settings that are varied for an estimator and input, in order, with their values."""
     values = {setting: getattr(params, setting) for setting in _VARIED[name]}
     if "top_k" in values:
@@ -154,11 +155,13 @@ def search_hand_overs(
     `files`, the model files, decide the matches beside the pairs' own files.
     """
     used = tuple(dict.fromkeys(name for names in inputs.values() for name in names))
+    varied = {(e, name): coordinates(e, name, params) for e, names in inputs.items() for name in names}
+    best: dict[Place, Trial] = {}
+    trials: list[Trial] = []
     with match_folder(store) as folder:
         matched = store_matches(pairs, used, folder, files=files, workers=workers, description="match validation pairs")
-
-        def run(planned: Candidates, best: Mapping[Place, Trial], step: int) -> dict[str, FloatArray]:
-            tasks = []
+        for step in range(max(len(c) for c in varied.values())):
+            planned, tasks = _planned(varied, best, step), []
             for estimator, candidates in planned.items():
                 names = tuple(dict.fromkeys(name for name, _ in candidates))
                 before = {name: best[estimator, name] for name in names if (estimator, name) in best}
@@ -169,46 +172,32 @@ def search_hand_overs(
                     payload = {"pair": pair, "matches": needed, "known": known, **common}
                     files = (*pair.files, *needed.paths.values())
                     tasks.append(Task(name=f"{pair.pair_id} {estimator} {step}", payload=payload, files=files))
+            if not tasks:
+                continue
             description = f"hand-over, step {step + 1}"
-            errors = map_tasks(candidate_errors, tasks, workers=workers, description=description, store=store)
-            n = len(pairs)
-            return {name: np.stack(errors[k * n : (k + 1) * n], axis=1) for k, name in enumerate(planned)}
-
-        return _search(inputs, params, run)
-
-
-def _search(
-    inputs: EstimatorInputs,
-    params: HandOverParams,
-    run: Callable[[Candidates, Mapping[Place, Trial], int], dict[str, FloatArray]],
-) -> tuple[dict[Place, Trial], list[Trial]]:
-    """Vary one setting after the other.
-
-    `run` gets the candidates, the best trials so far, to which some come down on some pairs, and the step; it returns
-    errors of shape (candidates, pairs, seeds) per estimator.
-    """
-    varied = {(e, name): coordinates(e, name, params) for e, names in inputs.items() for name in names}
-    best: dict[Place, Trial] = {}
-    trials: list[Trial] = []
-    for step in range(max(len(c) for c in varied.values())):
-        planned: Candidates = {}
-        for place, settings in varied.items():
-            if step < len(settings):
-                start = best[place].how if place in best else default_hand_over(*place)
-                hows = dict.fromkeys((start, *(replace(start, **{settings[step][0]: v}) for v in settings[step][1])))
-                new = [(place[1], how) for how in hows if place not in best or how != start]
-                planned.setdefault(place[0], []).extend(new)
-        tried: dict[Place, list[Trial]] = {}
-        planned = {estimator: candidates for estimator, candidates in planned.items() if candidates}
-        for estimator, errors in (run(planned, best, step) if planned else {}).items():
-            for (name, how), e in zip(planned[estimator], errors, strict=True):
-                place = (estimator, name)
-                trial = Trial(estimator=estimator, input=name, step=varied[place][step][0], how=how, errors_px=e)
-                trials.append(trial)
-                tried.setdefault(place, []).append(trial)
-        for place, challengers in tried.items():
-            best[place] = choose(best.get(place, challengers[0]), challengers)
+            errors = iter(map_tasks(candidate_errors, tasks, workers=workers, description=description, store=store))
+            tried: dict[Place, list[Trial]] = {}
+            for estimator, candidates in planned.items():
+                stacked = np.stack([next(errors) for _ in pairs], axis=1)  # (candidates, pairs, seeds)
+                for (name, how), e in zip(candidates, stacked, strict=True):
+                    setting = varied[estimator, name][step][0]
+                    trials.append(Trial(estimator=estimator, input=name, step=setting, how=how, errors_px=e))
+                    tried.setdefault((estimator, name), []).append(trials[-1])
+            for place, challengers in tried.items():
+                best[place] = choose(best.get(place, challengers[0]), challengers)
     return best, trials
+
+
+def _planned(varied: Mapping[Place, Coordinates], best: Mapping[Place, Trial], step: int) -> Candidates:
+    """Return what is tried in a step: every value of one setting, the others as in the best trial so far."""
+    planned: Candidates = {}
+    for place, settings in varied.items():
+        if step < len(settings):
+            start = best[place].how if place in best else default_hand_over(*place)
+            hows = dict.fromkeys((start, *(replace(start, **{settings[step][0]: v}) for v in settings[step][1])))
+            new = [(place[1], how) for how in hows if place not in best or how != start]
+            planned.setdefault(place[0], []).extend(new)
+    return {estimator: candidates for estimator, candidates in planned.items() if candidates}
 
 
 def choose(known: Trial, challengers: Sequence[Trial]) -> Trial:

@@ -3,6 +3,7 @@
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from epiprior.estimators.handover import load_hand_overs
 from epiprior_lab.compute.tasks import default_workers
@@ -27,15 +28,8 @@ def main() -> None:
     own, workers, files = params.confidence, default_workers(), model_files(MODELS, params.confidence.inputs)
     cases = plan_blocks(rendered_pairs(SPLIT, params.scenes.families), own.kinds, own.seed)
     hand_over, success_px = MODELS / "hand_over.json", params.report.success_px
-    facts = collect_facts(
-        cases,
-        own,
-        load_hand_overs(hand_over),
-        success_px=success_px,
-        files=(*files, hand_over),
-        workers=workers,
-        store=STORE,
-    )
+    how: dict[str, Any] = {"files": (*files, hand_over), "workers": workers, "store": STORE}
+    facts = collect_facts(cases, own, load_hand_overs(hand_over), success_px=success_px, **how)
     rows = confidence_rows(facts, own.seed)
     found = [compare({NAME: data}, params.train, workers, STORE)[NAME] for data in rows.values()]
     write_training(OUT, found)

@@ -1,6 +1,5 @@
 """Stage `ground_truth`: control points of the rendered pairs of one split, and how their views differ."""
 
-import argparse
 from pathlib import Path
 
 from epiprior.types import FloatArray
@@ -15,7 +14,7 @@ from epiprior_lab.pairsets import (
     write_control_points,
     write_table,
 )
-from epiprior_lab.params import SPLITS, load_study
+from epiprior_lab.params import SPLITS, load_study, read_arguments
 
 SUMMARY = ("pair_id", "scene", "angle_deg", "overlap", "scale_ratio", "roll_deg", "control_points")
 
@@ -29,9 +28,7 @@ def measure(pair: Pair, count: int, seed: int) -> tuple[FloatArray, FloatArray, 
 
 def main() -> None:
     """Write ``data/ground_truth/<split>/<family>/``: control points of every pair, and ``summary.csv``."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--split", required=True, choices=SPLITS)
-    split = parser.parse_args().split
+    split = read_arguments(main.__doc__, split=SPLITS).split
     params = load_study()
     truth = params.ground_truth
     for family in params.scenes.families:

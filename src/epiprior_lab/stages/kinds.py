@@ -1,6 +1,5 @@
 """Stage `kinds`: the confidence on pairs of other kinds (unrelated, planes, rotations, copies) and on true ones."""
 
-import argparse
 from pathlib import Path
 
 from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
@@ -8,16 +7,14 @@ from epiprior_lab.evaluation.inputs import model_files
 from epiprior_lab.evaluation.kinds import case_records, places_of, plan_cases
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
 from epiprior_lab.evaluation.records import KindRecord, to_frame, write_frame
-from epiprior_lab.params import STUDY, StudyParams, load_params
+from epiprior_lab.params import STUDY, StudyParams, load_params, read_arguments
 
 OUTS = {True: Path("data/kinds"), False: Path("data/real-kinds")}
 
 
 def main() -> None:
     """Write ``data/kinds/kinds.csv``, of rendered scenes, or ``data/real-kinds/kinds.csv``, of photographs."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--params", type=Path, default=STUDY)
-    params = load_params(parser.parse_args().params)
+    params = load_params(read_arguments(main.__doc__, params=STUDY).params)
     own, protocol = params.kinds, make_protocol(params)
     study = isinstance(params, StudyParams)
     out, apart = OUTS[study], params.evaluate.apart or ()

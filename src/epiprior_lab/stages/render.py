@@ -4,7 +4,6 @@ Pairs that are evaluated, of validation and test, have to be solvable: a scene w
 drawn anew. Training, of the rankers and of the confidence, takes every scene.
 """
 
-import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,7 +12,7 @@ from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import PairFiles, encode_depth, read_pair_set, write_pair_set
-from epiprior_lab.params import SPLITS, load_study
+from epiprior_lab.params import SPLITS, load_study, read_arguments
 from epiprior_lab.scenes import SceneError, render_pair
 from epiprior_lab.scenes.photography import encode_jpeg
 
@@ -63,9 +62,7 @@ def render(*, pair_id: str, family: str, seed: int, width: int, height: int, jpe
 
 def main() -> None:
     """Write ``data/scenes/<split>/<family>/``; every pair is a scene of its own, so splits share none."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--split", required=True, choices=SPLITS)
-    split = parser.parse_args().split
+    split = read_arguments(main.__doc__, split=SPLITS).split
     params = load_study()
     scenes = params.scenes
     common = {

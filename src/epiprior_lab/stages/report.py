@@ -1,14 +1,14 @@
 """Stage `report`: tables, figures and the page of an evaluation, of rendered scenes or of photographs."""
 
-import argparse
 from pathlib import Path
+from typing import Any
 
 from epiprior.verification.cascade import load_cascade_rule
 from epiprior_lab.compute.tasks import single_threaded
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
 from epiprior_lab.evaluation.records import KindRecord, Tables, read_frame
 from epiprior_lab.pairsets import known_sets
-from epiprior_lab.params import STUDY, Params, StudyParams, load_params
+from epiprior_lab.params import STUDY, Params, StudyParams, load_params, read_arguments
 from epiprior_lab.report.bounds import BOUNDS, load_bounds
 from epiprior_lab.report.figures import roll_figure
 from epiprior_lab.report.gallery import choose_cases, draw_cases
@@ -47,13 +47,10 @@ def study_extras(params: StudyParams, results: Results, out: Path) -> Extras:
 
 def photograph_extras(params: Params, results: Results, out: Path) -> Extras:
     """Draw the gallery of photographs, and read what else their report shows."""
-    gallery, own = params.report.gallery, params.evaluate
-    cases = []
+    gallery, own, cases = params.report.gallery, params.evaluate, []
     if gallery is not None:
-        success_px = params.report.success_px
-        cases = choose_cases(
-            results, gallery.estimator, rescued=gallery.rescued, lost=gallery.lost, success_px=success_px
-        )
+        how: dict[str, Any] = {"rescued": gallery.rescued, "lost": gallery.lost, "success_px": params.report.success_px}
+        cases = choose_cases(results, gallery.estimator, **how)
         shown = dict.fromkeys(case.group for case in cases)
         pairs = {(group, pair.pair_id): pair for group in shown for pair in pairs_of(own, group)}
         draw_cases(cases, pairs, make_protocol(params), photographs=GALLERY, frames=out / "gallery")
@@ -70,19 +67,17 @@ def photograph_extras(params: Params, results: Results, out: Path) -> Extras:
 
 def main() -> None:
     """Write everything in ``<out>`` but what other stages write, and the gallery that stays here."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--params", type=Path, default=STUDY)
-    parser.add_argument("--out", type=Path, default=Path("reports"))
-    arguments = parser.parse_args()
+    arguments = read_arguments(main.__doc__, params=STUDY, out=Path("reports"))
     params, out = load_params(arguments.params), arguments.out
     own = params.evaluate
     evaluated = Tables.read([Path(own.out) / group for group in own.groups])
     results = read_results(evaluated, params.report, apart=own.apart or ())
     with single_threaded():
         if isinstance(params, StudyParams):
-            write_report(results, params.report, study_extras(params, results, out), "study", out)
+            kind, extras = "study", study_extras(params, results, out)
         else:
-            write_report(results, params.report, photograph_extras(params, results, out), "photographs", out)
+            kind, extras = "photographs", photograph_extras(params, results, out)
+        write_report(results, params.report, extras, kind, out)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 What is matched and mapped is kept by bag and method, so that a run that was killed goes on. Seconds go to `timings`.
 """
 
-import argparse
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -24,6 +23,7 @@ from epiprior_lab.evaluation import learned, peers
 from epiprior_lab.evaluation.protocol import MODELS
 from epiprior_lab.evaluation.sets import FOLDER
 from epiprior_lab.pairsets import read_pair_set
+from epiprior_lab.params import read_arguments
 from epiprior_lab.report.bags import write_bag_report
 from epiprior_lab.report.results import read_table
 
@@ -89,10 +89,7 @@ def measure_bags(bags: Sequence[Bag], params: SfmParams) -> list[BagRecord]:
 
 def main() -> None:
     """Write ``data/sfm-twins``, and in ``<out>`` tables, figures, timings and ``performance.md``."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--params", type=Path, default=PATH)
-    parser.add_argument("--out", type=Path, default=Path("reports/sfm"))
-    arguments = parser.parse_args()
+    arguments = read_arguments(main.__doc__, params=PATH, out=Path("reports/sfm"))
     params = load_sfm_params(arguments.params)
     sets = {name: read_pair_set(FOLDER / name).pairs for name in params.bags.groups}
     known = read_table(SHARES, "group pair_id right_share").dropna(subset="right_share")

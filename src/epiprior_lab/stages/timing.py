@@ -1,6 +1,5 @@
 """Stage `timing`: a leaf that measures time; no other stage reads what it writes."""
 
-import argparse
 from pathlib import Path
 
 import joblib
@@ -13,7 +12,7 @@ from epiprior_lab.evaluation.peers import interpreter
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
 from epiprior_lab.evaluation.records import Tables, TimingRecord, to_frame, write_frame
 from epiprior_lab.evaluation.timing import spread_pairs, time_learned_pairs, time_pair
-from epiprior_lab.params import STUDY, StudyParams, load_params
+from epiprior_lab.params import STUDY, StudyParams, load_params, read_arguments
 from epiprior_lab.report.bounds import BOUNDS, load_bounds
 from epiprior_lab.report.report import read_results
 from epiprior_lab.report.timing import write_timings
@@ -21,10 +20,7 @@ from epiprior_lab.report.timing import write_timings
 
 def main() -> None:
     """Write ``<out>/pairs.csv``, a row per run, and what the report makes of it."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--params", type=Path, default=STUDY)
-    parser.add_argument("--out", type=Path, default=Path("reports/timings"))
-    arguments = parser.parse_args()
+    arguments = read_arguments(main.__doc__, params=STUDY, out=Path("reports/timings"))
     params = load_params(arguments.params)
     own, seeds, protocol = params.evaluate, params.timing.seeds, make_protocol(params)
     rule = load_cascade_rule(MODELS / "cascade.json")

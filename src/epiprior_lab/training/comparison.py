@@ -27,6 +27,7 @@ from epiprior_lab.training.onnx_graphs import to_onnx
 from epiprior_lab.training.samples import Sample, TargetRows
 
 PARITY_ROWS = 2000
+Before = dict[str, "Comparison"]  # by preset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,30 +76,21 @@ def train(
     for preset, found in files.items():
         if not found:
             raise SettingsError(f"{folders[preset]}: no rows; run the stage features first")
-    drawn = {preset: [two_keypoint_sample(file, preset, params) for file in files[preset]] for preset in folders}
-    data = {
-        preset: TargetRows.stack("two_keypoint", find_preset(preset).two_keypoint_columns, samples)
-        for preset, samples in drawn.items()
-    }
+
+    def voted(target: str, columns: Mapping[str, tuple[str, ...]], description: str, *before: Before) -> Before:
+        tasks = [t for name in columns for t in _vote_tasks(files[name], params, *(found[name] for found in before))]
+        samples = iter(map_tasks(voted_sample, tasks, workers=workers, description=description, store=store))
+        data = {n: TargetRows.stack(target, own, [next(samples) for _ in files[n]]) for n, own in columns.items()}
+        return compare(data, params, workers, store) if data else {}
+
+    presets = {name: find_preset(name) for name in folders}
+    drawn = {name: [two_keypoint_sample(file, name, params) for file in files[name]] for name in folders}
+    data = {n: TargetRows.stack("two_keypoint", presets[n].two_keypoint_columns, own) for n, own in drawn.items()}
     first = compare(data, params, workers, store)
-    tasks = [task for preset in folders for task in _vote_tasks(files[preset], first[preset], params)]
-    samples = iter(map_tasks(voted_sample, tasks, workers=workers, description="votes", store=store))
-    data = {
-        preset: TargetRows.stack("match", find_preset(preset).match_columns, [next(samples) for _ in files[preset]])
-        for preset in folders
-    }
-    second = compare(data, params, workers, store)
-    again = [preset for preset in folders if find_preset(preset).second_round]
-    tasks = [task for preset in again for task in _vote_tasks(files[preset], first[preset], params, second[preset])]
-    samples = iter(map_tasks(voted_sample, tasks, workers=workers, description="second round", store=store))
-    data = {
-        preset: TargetRows.stack("second_round", SECOND_ROUND_COLUMNS, [next(samples) for _ in files[preset]])
-        for preset in again
-    }
-    third = compare(data, params, workers, store) if again else {}
-    return {
-        preset: (first[preset], second[preset], *((third[preset],) if preset in third else ())) for preset in folders
-    }
+    second = voted("match", {name: preset.match_columns for name, preset in presets.items()}, "votes", first)
+    again = {name: SECOND_ROUND_COLUMNS for name, preset in presets.items() if preset.second_round}
+    third = voted("second_round", again, "second round", first, second)
+    return {name: tuple(found[name] for found in (first, second, third) if name in found) for name in folders}
 
 
 def two_keypoint_sample(file: Path, preset: str, params: TrainParams) -> Sample:
@@ -137,14 +129,11 @@ def _held_out(comparison: Comparison) -> dict[str, HeldOut]:
     }
 
 
-def _vote_tasks(
-    files: Sequence[Path], first: Comparison, params: TrainParams, second: Comparison | None = None
-) -> list[Task]:
+def _vote_tasks(files: Sequence[Path], params: TrainParams, *before: Comparison) -> list[Task]:
     """Return a task per pair, with the classifiers that hold out its scene: the first, or the first and the second."""
-    held = [_held_out(comparison) for comparison in (first, second) if comparison]
-    tasks = []
+    held, first = [_held_out(comparison) for comparison in before], before[0]
+    tasks, target = [], "second_round" if len(before) > 1 else "match"
     for file, scene in zip(files, first.data.scenes.tolist(), strict=True):
-        target = "second_round" if second else "match"
         payload = {
             "file": file,
             "classifiers": tuple(of_scene[scene] for of_scene in held),

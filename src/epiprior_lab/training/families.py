@@ -39,10 +39,6 @@ class TrainingError(EpipriorError, ValueError):
 class Fitted(Protocol):
     """A fitted classifier; `onnx_graphs.to_onnx` exports it."""
 
-    @property
-    def width(self) -> int:
-        """Number of columns it takes."""
-
     def probability(self, rows: Float32Array) -> FloatArray:
         """Return the probability of the right class, shape (N,), float64, in [0, 1]; N = 0 is allowed."""
 
@@ -52,14 +48,9 @@ class Fitted(Protocol):
 
 @dataclass(frozen=True)
 class Trees:
-    """A tree or a forest of scikit-learn."""
+    """A tree or a forest of scikit-learn; `importances` are the decrease of impurity by each column."""
 
     estimator: DecisionTreeClassifier | RandomForestClassifier
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return int(self.estimator.n_features_in_)
 
     def probability(self, rows: Float32Array) -> FloatArray:
         """Return the probability of the right class."""
@@ -72,14 +63,9 @@ class Trees:
 
 @dataclass(frozen=True)
 class Boosted:
-    """A booster of LightGBM whose thresholds are float32 numbers."""
+    """A booster of LightGBM whose thresholds are float32 numbers; `importances` are the gain by each column."""
 
     booster: lightgbm.Booster
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return int(self.booster.num_feature())
 
     def probability(self, rows: Float32Array) -> FloatArray:
         """Return the probability of the right class."""
@@ -107,11 +93,6 @@ class SupportVectors:
     gamma: float
     a: float = 1.0
     b: float = 0.0
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return len(self.mean)
 
     def decision(self, rows: Float32Array) -> FloatArray:
         """Return the decision value of each row, shape (N,); libsvm's own, but by BLAS and much faster."""
@@ -204,9 +185,8 @@ def fit(family: str, rows: Float32Array, labels: BoolArray, *, seed: int, max_ro
         kept = sample_by_class(labels, max_rows, seed)
         rows, labels = rows[kept], labels[kept]
     if not np.isfinite(rows).all():
-        raise TrainingError(
-            f"rows to train on: NaN or infinite value in column {int(np.argwhere(~np.isfinite(rows))[0, 1])}"
-        )
+        column = int(np.argwhere(~np.isfinite(rows))[0, 1])
+        raise TrainingError(f"rows to train on: NaN or infinite value in column {column}")
     if labels.all() or not labels.any():
         raise TrainingError(f"{len(labels)} rows to train on are all of one class")
     return FAMILIES[family](rows, labels.astype(bool), seed)

@@ -1,6 +1,7 @@
 """Fitted classifiers as ONNX graphs, the same bytes in every run: ``rows`` (N, C), ``probability`` (N,), float32."""
 
 import functools
+from typing import Any
 
 import numpy as np
 import onnx
@@ -22,13 +23,10 @@ def _(fitted: Trees) -> bytes:
     import skl2onnx
     from skl2onnx.common.data_types import FloatTensorType
 
-    converted = skl2onnx.convert_sklearn(
-        fitted.estimator,
-        initial_types=[("rows", FloatTensorType([None, fitted.width]))],
-        options={"zipmap": False},
-        target_opset={"": _OPSET, "ai.onnx.ml": _ML_OPSET},
-    )
-    return _tree_graph(converted, fitted.width, logistic=False)
+    width, opset = fitted.estimator.n_features_in_, {"": _OPSET, "ai.onnx.ml": _ML_OPSET}
+    types, options = [("rows", FloatTensorType([None, width]))], {"zipmap": False}
+    converted = skl2onnx.convert_sklearn(fitted.estimator, initial_types=types, options=options, target_opset=opset)
+    return _tree_graph(converted, width, logistic=False)
 
 
 @to_onnx.register
@@ -36,30 +34,19 @@ def _(fitted: Boosted) -> bytes:
     import onnxmltools
     from onnxmltools.convert.common.data_types import FloatTensorType
 
-    converted = onnxmltools.convert_lightgbm(
-        fitted.booster,
-        initial_types=[("rows", FloatTensorType([None, fitted.width]))],
-        zipmap=False,
-        target_opset=15,  # the highest that onnxmltools knows; only the attributes of the trees are kept
-    )
-    return _tree_graph(converted, fitted.width, logistic=True)
+    width, opset = fitted.booster.num_feature(), 15  # the highest it knows; only the attributes of the trees are kept
+    types = [("rows", FloatTensorType([None, width]))]
+    converted = onnxmltools.convert_lightgbm(fitted.booster, initial_types=types, zipmap=False, target_opset=opset)
+    return _tree_graph(converted, width, logistic=True)
 
 
 @to_onnx.register
 def _(fitted: SupportVectors) -> bytes:
     """Write the decision value in double: ONNX' own SVM computes in float32 and misses the parity of 1e-6."""
-    constants = {
-        "mean": fitted.mean,
-        "scale": fitted.scale,
-        "vectors": np.ascontiguousarray(fitted.vectors.T),
-        "norms": np.sum(fitted.vectors**2, axis=1),
-        "weights": fitted.weights,
-        "minus_two": np.array(-2.0),
-        "minus_gamma": np.array(-fitted.gamma),
-        "intercept": np.array(fitted.intercept),
-        "a": np.array(fitted.a),
-        "b": np.array(fitted.b),
-    }
+    vectors, norms = np.ascontiguousarray(fitted.vectors.T), np.sum(fitted.vectors**2, axis=1)
+    constants: dict[str, Any] = {"mean": fitted.mean, "scale": fitted.scale, "vectors": vectors, "norms": norms}
+    constants |= {"weights": fitted.weights, "minus_two": -2.0, "minus_gamma": -fitted.gamma}
+    constants |= {"intercept": fitted.intercept, "a": fitted.a, "b": fitted.b}
     node = helper.make_node
     nodes = [
         node("Cast", ["rows"], ["double"], to=TensorProto.DOUBLE),
@@ -82,7 +69,7 @@ def _(fitted: SupportVectors) -> bytes:
     ]
     initializers = [numpy_helper.from_array(np.asarray(v, np.float64), name) for name, v in constants.items()]
     initializers.append(numpy_helper.from_array(np.array([1], np.int64), "columns"))
-    return _serialise(nodes, initializers, fitted.width)
+    return _serialise(nodes, initializers, len(fitted.mean))
 
 
 def _tree_graph(converted: onnx.ModelProto, width: int, *, logistic: bool) -> bytes:
@@ -91,23 +78,13 @@ def _tree_graph(converted: onnx.ModelProto, width: int, *, logistic: bool) -> by
     found = {item.name: helper.get_attribute_value(item) for item in node.attribute}
     # Converters of scikit-learn give a weight to both classes, that of LightGBM gives the logit as class 0.
     kept = np.flatnonzero(np.array(found["class_ids"]) == max(found["class_ids"]))
-    nodes = {key: value for key, value in found.items() if key.startswith("nodes_")}
-    nodes.pop("nodes_missing_value_tracks_true", None)
-    nodes.pop("nodes_hitrates", None)
-    trees = helper.make_node(
-        "TreeEnsembleRegressor",
-        ["rows"],
-        ["sum"],
-        domain="ai.onnx.ml",
-        n_targets=1,
-        aggregate_function="SUM",
-        post_transform="NONE",
-        target_ids=[0] * len(kept),
-        target_nodeids=[found["class_nodeids"][i] for i in kept],
-        target_treeids=[found["class_treeids"][i] for i in kept],
-        target_weights=[found["class_weights"][i] for i in kept],
-        **nodes,
-    )
+    dropped = ("nodes_missing_value_tracks_true", "nodes_hitrates")
+    nodes = {key: value for key, value in found.items() if key.startswith("nodes_") and key not in dropped}
+    keys = ("nodeids", "treeids", "weights")
+    targets: dict[str, Any] = {f"target_{key}": [found[f"class_{key}"][i] for i in kept] for key in keys}
+    targets |= {"target_ids": [0] * len(kept), "n_targets": 1}
+    how = {"domain": "ai.onnx.ml", "aggregate_function": "SUM", "post_transform": "NONE"}
+    trees = helper.make_node("TreeEnsembleRegressor", ["rows"], ["sum"], **how, **targets, **nodes)
     flat = helper.make_node("Reshape", ["sum", "flat"], ["logit" if logistic else "probability"])
     graph = [trees, flat] + ([helper.make_node("Sigmoid", ["logit"], ["probability"])] if logistic else [])
     return _serialise(graph, [numpy_helper.from_array(np.array([-1], np.int64), "flat")], width)

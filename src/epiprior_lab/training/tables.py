@@ -12,8 +12,7 @@ from sklearn.metrics import precision_recall_curve
 
 from epiprior_lab.measures import calibration_bins
 from epiprior_lab.training.comparison import Comparison
-from epiprior_lab.training.cross_validation import CrossValidation
-from epiprior_lab.training.metrics import METRICS
+from epiprior_lab.training.cross_validation import METRICS, CrossValidation
 
 _CURVE_POINTS = 200
 

@@ -20,10 +20,9 @@ from epiprior_lab.evaluation import inputs, runs
 from epiprior_lab.evaluation.evaluate import evaluate
 from epiprior_lab.evaluation.protocol import Protocol, make_protocol, pairs_of
 from epiprior_lab.evaluation.records import RECORDS
-from epiprior_lab.evaluation.runs import MeasureSettings
 from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
 from epiprior_lab.pairsets import fundamental_from_cameras
-from epiprior_lab.params import load_params
+from epiprior_lab.params import MeasureParams, load_params
 from worlds import camera_pair, points_before, two_cameras
 
 INPUTS = {"usac": ("standard", "snn", "default"), "magsac++": ("generalized", "default", "twin")}
@@ -118,7 +117,7 @@ def test_an_estimate_is_measured_whatever_its_status(tmp_path):
     known = {"F": F, "x1": x1, "x2": x2, "inliers": np.zeros(60, np.bool_), "support": 0}
     turned_down = FundamentalEstimate(status=Status.DEGENERATE, estimator="usac", **known)
     key = {"group": "g", "estimator": "usac", "input": "snn", "seed": 0, "threshold_px": 1.5}
-    measures = MeasureSettings(seed=1, distance_points=50)
+    measures = MeasureParams(seed=1, distance_points=50)
     record = runs.run_record(turned_down, pair, truth, measures, **key)
     assert (record.status, record.input) == ("degenerate", "snn")
     assert max(record.error_px, record.distance) < 1e-6

@@ -58,7 +58,7 @@ def test_records_of_a_pair(pairs, tiny_model, tmp_path):
     assert abs((about["expected_roll_deg"] + 180) % 360 - 180) < 5
 
     def right(matches):  # the true lines are the rows
-        return np.abs(matches.x1[:, 1] - matches.x2[:, 1]) < np.sqrt(2) * TruthSettings().labels.epipolar_px
+        return np.abs(matches.x1[:, 1] - matches.x2[:, 1]) < np.sqrt(2) * TruthSettings().epipolar_px
 
     assert about["right_share"] == pytest.approx(right(files.read().sets["standard"][0]).mean(), abs=0.01)
     table = tables.rankings.set_index(["input", "ranking"])

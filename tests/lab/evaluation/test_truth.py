@@ -7,7 +7,6 @@ from epiprior.errors import SettingsError
 from epiprior.geometry import sampson_distance
 from epiprior_lab.evaluation import truth as known
 from epiprior_lab.evaluation.truth import TruthSettings, evaluation_points, on_one_plane, pair_truth
-from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.pairsets import DatasetError, read_pair_set, write_control_points
 from epiprior_lab.params import TruthParams
 from synthetic import HEIGHT, WIDTH
@@ -66,8 +65,8 @@ def test_difficulty_and_the_settings_of_a_parameter_file():
         TruthSettings(easy_share=0.2, hard_share=0.5)
     labels = {"tolerance_px": 2.0, "tolerance_sigma": 0.25, "depth_tolerance": 0.03, "epipolar_px": 1.5}
     own = {"plane_px": 4.0, "easy_share": 0.6, "hard_share": 0.1}
-    found = known.truth_settings(TruthParams(**labels, **own, one_plane=None))
-    assert found == TruthSettings(labels=LabelSettings(**labels), one_plane=(), **own)
+    found = TruthSettings.of(TruthParams(**labels, **own, one_plane=None))
+    assert found == TruthSettings(**labels, **own)
 
 
 @pytest.mark.parametrize("degrees", [-150, -30, 0, 37, 90])

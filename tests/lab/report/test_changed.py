@@ -6,8 +6,8 @@ import pandas as pd
 
 from epiprior_lab.pairsets.changed import EVERY
 from epiprior_lab.report.material import Material
-from epiprior_lab.report.result_sections import changed
 from epiprior_lab.report.results import Results
+from epiprior_lab.report.sections import changed
 from epiprior_lab.report.tables import changed_table
 from synthetic_tables import photograph_tables
 

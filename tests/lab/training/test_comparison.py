@@ -16,7 +16,7 @@ from epiprior.ranking.models import TARGETS
 from epiprior_lab.params import ExportedFamilies, TrainParams
 from epiprior_lab.training import comparison
 from epiprior_lab.training.comparison import train
-from epiprior_lab.training.metrics import METRICS
+from epiprior_lab.training.cross_validation import METRICS
 from epiprior_lab.training.samples import Sample, TargetRows
 from epiprior_lab.training.tables import curves_csv, importances_csv, metrics_csv, seconds_csv, write_training
 from epiprior_lab.training.tracked_runs import tracked_runs

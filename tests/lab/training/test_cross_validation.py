@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from epiprior_lab.training import cross_validation as training
-from epiprior_lab.training.cross_validation import cross_validate, folds_by_row, folds_by_scene
+from epiprior_lab.training.cross_validation import METRICS, cross_validate, folds_by_row, folds_by_scene
 from epiprior_lab.training.families import FAMILIES, TrainingError
-from epiprior_lab.training.metrics import METRICS
 from grouped_rows import make_rows
 
 pytestmark = pytest.mark.slow

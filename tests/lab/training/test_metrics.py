@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from epiprior_lab.training.metrics import mean_over_pairs, pair_metrics, precision_of_top, row_metrics
+from epiprior_lab.training.cross_validation import mean_over_pairs, pair_metrics, precision_of_top, row_metrics
 
 
 def ranked(probability, labels, *slices, share=None):
