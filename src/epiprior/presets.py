@@ -52,7 +52,8 @@ def _check_ranges(settings: "FeatureSettings | PreprocessSettings") -> None:
             raise SettingsError(f"{item.name} is {value}, must lie in [{low}, {high}]")
 
 
-def _check_choice(name: str, value: str, known: tuple[str, ...]) -> None:
+def check_choice(name: str, value: str, known: tuple[str, ...]) -> None:
+    """Raise SettingsError unless a value is among the known ones."""
     if value not in known:
         raise SettingsError(f"{name} is {value!r}, known: {', '.join(known)}")
 
@@ -82,7 +83,7 @@ class FeatureSettings:
     centred: bool = True
 
     def __post_init__(self) -> None:
-        _check_choice("detector", self.detector, DETECTORS)
+        check_choice("detector", self.detector, DETECTORS)
         _check_ranges(self)
 
 
@@ -130,7 +131,7 @@ class PreprocessSettings:
     second_round: int = _within(0, 1_000_000, 3000)
 
     def __post_init__(self) -> None:
-        _check_choice("frame", self.frame, FRAMES)
+        check_choice("frame", self.frame, FRAMES)
         _check_ranges(self)
 
     @property
@@ -160,5 +161,5 @@ PRESETS = {preset.name: preset for preset in (PAPER, FAST, DEFAULT, THOROUGH)}
 
 def find_preset(name: str) -> PreprocessSettings:
     """Return the preset of that name, or raise SettingsError with the names there are."""
-    _check_choice("preset", name, tuple(PRESETS))
+    check_choice("preset", name, tuple(PRESETS))
     return PRESETS[name]
