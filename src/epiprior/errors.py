@@ -1,5 +1,10 @@
 """Exceptions of the library: bad input raises, geometric failure is a value (`FundamentalEstimate.status`)."""
 
+from importlib import import_module
+from types import ModuleType
+
+_REQUIREMENTS = {"pycolmap": "pycolmap>=4,<5", "h5py": "h5py>=3.13,<4"}
+
 
 class EpipriorError(Exception):
     """Base of every exception that epiprior raises on purpose."""
@@ -27,3 +32,11 @@ class EstimatorError(EpipriorError, ValueError):
 
 class OutputError(EpipriorError, OSError):
     """A result cannot be written; the message names the path and the reason."""
+
+
+def require(package: str, what: str, kind: type[EpipriorError] = OutputError) -> ModuleType:
+    """Return a package that is not needed by all; where it is missing, the error says what for and how to get it."""
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise kind(f"{what} needs {package}: pip install '{_REQUIREMENTS[package]}'") from error

@@ -33,21 +33,14 @@ class ExplainedColumn:
     """One column of a match, beside the same of other matches that its classifier judged.
 
     Nobody knows which of these are right: the comparison is with those that the ranking puts first and last.
-
-    Parameters
-    ----------
-    value : Of the match.
-    most_probable, least_probable : Medians, over the `MOST_PROBABLE` most probable matches and over the less probable
-        half.
-    as_most, as_least : The probability that the classifier would give if this column alone had that median.
     """
 
     name: str
-    value: float
-    most_probable: float
-    least_probable: float
-    as_most: float
-    as_least: float
+    value: float  # of the match
+    most_probable: float  # median over the `MOST_PROBABLE` most probable matches
+    least_probable: float  # and over the less probable half
+    as_most: float  # the probability that the classifier would give if this column alone had the first median
+    as_least: float  # and the second
 
     def cells(self) -> tuple[str, ...]:
         """Return the column as words below `HEADER`."""
@@ -71,24 +64,14 @@ class ExplainedRound:
 
 @dataclass(frozen=True, kw_only=True)
 class SupportedMatrix:
-    """The rough F that the match supports and that the other matches support best (section 4.5).
+    """The rough F that the match supports and that the other matches support best (section 4.5)."""
 
-    Parameters
-    ----------
-    index : In `rough_matrices` of the ranking.
-    F : (3, 3) float64. Pixels of the images as given.
-    made_of : (2, 2) int64. The two matches of 2keypoints that it was made of: two rows of the ranking each.
-    residual_px : Sampson distance of the match, at working size.
-    inliers, probability_sum : How many other matches support it, one-to-one and without those that share a feature with
-        the match; the sum of their probabilities. By this sum it is the best.
-    """
-
-    index: int
-    F: FloatArray
-    made_of: IntArray
-    residual_px: float
-    inliers: int
-    probability_sum: float
+    index: int  # in `rough_matrices` of the ranking
+    F: FloatArray  # (3, 3), pixels of the images as given
+    made_of: IntArray  # (2, 2), the two matches of 2keypoints that it was made of: two rows of the ranking each
+    residual_px: float  # Sampson distance of the match, at working size
+    inliers: int  # other matches that support it, one-to-one and without those that share a feature with the match
+    probability_sum: float  # of their probabilities: by this it is the best
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,7 +201,7 @@ class _Ranking:
 def _run(prepared: PreparedPair, roll_deg: float, model: RankingModel, settings: PreprocessSettings) -> _Ranking:
     candidates = find_candidates(prepared, roll_deg, settings)
     pairs = candidates.two_keypoints
-    probability = model.predict_two_keypoint(pairs.select(model.two_keypoint_columns))
+    probability = model.two_keypoint(pairs.select(model.two_keypoint.columns))
     votes = cast_votes(candidates.frames, pairs, probability, settings)
     ranked = rank_voted(prepared, candidates, votes, model, settings)
     return _Ranking(prepared, candidates, votes, ranked, model, settings)
@@ -289,7 +272,7 @@ def _explain_rounds(row: int, ranking: _Ranking) -> tuple[ExplainedRound, ...]:
     own = int(ranking.order[row])
     table = describe_matches(united, ranking.prepared.table, ranking.candidates.two_keypoints, ranking.votes)
     first = _explain_round(model.match, table, own, ranking.order)
-    probability = model.predict_match(table.select(model.match_columns))
+    probability = model.match(table.select(model.match.columns))
     judged = second_round_rows(probability, count)
     if model.second_round is None or own not in judged:
         return (first,)

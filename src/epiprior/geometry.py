@@ -4,15 +4,17 @@ Conventions: ``x1, x2`` are ``(N, 2)`` float64 pixels; ``x2' F x1 = 0``; residua
 Hartley and Zisserman, Multiple View Geometry, 2nd ed., chapter 11 (eight points: 11.2; Sampson: 11.4.3).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from epiprior.errors import FeatureError
+from epiprior.kernels.parallel import in_chunks
 from epiprior.kernels.sampson import squared_distances, tukey_weights
+from epiprior.kernels.scores import BLOCK, score_models
 from epiprior.kernels.solvers import weighted_eight_point
-from epiprior.types import Float32Array, FloatArray, IntArray
+from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray, as_numbers, check_array
 
 MIN_MATCHES = 8
 SHRINKING_THRESHOLDS_PX = (10.0, 8.0, 6.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
@@ -24,17 +26,10 @@ def as_points(name: str, points: ArrayLike) -> FloatArray:
 
     Raises FeatureError if the shape is another, or a value is not finite; the message carries `name`.
     """
-    try:
-        array = np.ascontiguousarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise FeatureError(f"{name} is not an array of numbers: {error}") from error
+    array = as_numbers(name, points)
     if array.size == 0 and array.ndim <= 2:
         return np.empty((0, 2))
-    if array.ndim != 2 or array.shape[1] != 2:
-        raise FeatureError(f"{name} has shape {array.shape}, expected (N, 2)")
-    if not np.isfinite(array).all():
-        row = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
-        raise FeatureError(f"{name} holds a NaN or infinite value, first in row {row}")
+    check_array(name, array, (None, 2))
     return array
 
 
@@ -85,6 +80,13 @@ def as_columns(x1: FloatArray, x2: FloatArray) -> FloatArray:
     return columns
 
 
+def with_three_around(x: FloatArray, reach: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Return points (..., 2), each with three around it, `reach` away, from an angle on by thirds: (..., 4, 2)."""
+    angles = angle_rad[..., None] + 2 * np.pi * np.arange(3) / 3
+    offsets = reach[..., None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.concatenate([x[..., None, :], x[..., None, :] + offsets], axis=-2)
+
+
 def centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray) -> Float32Array:
     """Return fundamental matrices for points that are centred, as compiled kernels read them in single precision.
 
@@ -98,6 +100,50 @@ def centred_columns(models: FloatArray, centre1: FloatArray, centre2: FloatArray
     size = np.abs(G).max(axis=(1, 2), keepdims=True)
     G /= np.abs(G[:, :2, :2]).max(axis=(1, 2), keepdims=True) + size * 1e-9 + 1e-300
     return np.ascontiguousarray(G.reshape(-1, 9).T, dtype=np.float32)
+
+
+class Evidence:
+    """N matches with their weights, arranged for scoring many F; of one group, (N,), only the best counts."""
+
+    def __init__(self, x1: FloatArray, x2: FloatArray, weights: FloatArray, group: IntArray | None = None) -> None:
+        group = np.arange(len(x1)) if group is None else group
+        order = np.argsort(group, kind="stable")
+        # Pixels from the means of the points: single precision is then exact enough.
+        self.centre1, self.centre2 = (x.mean(axis=0) if len(x) else np.zeros(2) for x in (x1, x2))
+        self.columns = as_columns((x1 - self.centre1)[order], (x2 - self.centre2)[order]).astype(np.float32)
+        self.weights = weights[order].astype(np.float32)
+        self.group = np.asarray(group[order], dtype=np.int64)
+
+    def scores(self, models: FloatArray, threshold_px: float) -> FloatArray:
+        """Return the score of each of `models` (K, 3, 3): shape (K,), float64, >= 0.
+
+        A group says what its best match says: w (1 - r^2 / threshold^2) at the Sampson distance r, nothing beyond.
+        """
+        found = np.zeros(len(models), np.float32)
+        if len(models) and len(self.weights):
+            centred = centred_columns(models, self.centre1, self.centre2)
+            limit_sq = np.float32(threshold_px**2)
+
+            def work(part: slice) -> None:
+                some = np.ascontiguousarray(centred[:, part])
+                score_models(some, self.columns, self.weights, self.group, limit_sq, found[part])
+
+            in_chunks(work, len(models), 2 * BLOCK)
+        return np.nan_to_num(found.astype(np.float64), nan=0.0)
+
+
+def different_models(supporters: Iterable[tuple[int, BoolArray]], count: int, same_share: float) -> list[int]:
+    """Return the numbers of the first `count` models no two of which have about the same supporters, (N,).
+
+    The same are two from an intersection over union of `same_share` on.
+    """
+    kept: dict[int, BoolArray] = {}
+    for k, own in supporters:
+        if len(kept) == count:
+            break
+        if all(np.sum(own & other) < same_share * np.sum(own | other) for other in kept.values()):
+            kept[k] = own
+    return list(kept)
 
 
 def eight_point(x1: FloatArray, x2: FloatArray, weights: FloatArray | None = None) -> FloatArray | None:
@@ -135,13 +181,9 @@ def refine_fundamental(
     distance. The F with the highest `weighted_score` is kept, the first one included: the result never scores less than
     what went in. It is normalised as by `normalise_fundamental`.
 
-    Parameters
-    ----------
-    F : (3, 3). Start; within the first threshold of the truth on most right matches.
-    x1, x2 : (N, 2) float64. Matches, pixels, one-to-one. N < 8 returns `F`.
-    weights : (N,) float64. Probability of each match; 1 by default.
-    thresholds : Pixels, from wide to narrow.
-    score_threshold_px : Of the score that decides.
+    `F`, (3, 3), should be within the first threshold of the truth on most right matches. `x1` and `x2`, (N, 2), are
+    pixels of one-to-one matches, N < 8 returns `F`; `weights`, (N,), their probabilities, 1 by default. `thresholds`
+    are pixels, from wide to narrow, `score_threshold_px` is that of the score that decides.
 
     References: shrinking thresholds: local optimisation of LO-RANSAC (Chum, Matas and Kittler, DAGM 2003) and of USAC.
     Weighing by the probabilities of the matches is ours.

@@ -4,8 +4,9 @@ A preset names its model (``models/<model>``) and the input of estimators that i
 2kpmd and kpmd are settings too: a model is trained on those of the preset that has its name.
 """
 
-from dataclasses import dataclass, field
-from typing import Literal
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
 
 from epiprior.errors import SettingsError
 
@@ -16,28 +17,15 @@ FRAMES = ("feature", "2keypoint")
 
 COHERENCE_COLUMNS = ("coherence_near", "coherence_near_share", "coherence_far", "coherence_far_share")
 PAPER_TWO_KEYPOINT_COLUMNS = (
-    "two_keypoint_matches1",
-    "two_keypoint_matches2",
-    "distance_ratio",
-    "angle_difference",
-    "same_cluster",
+    "two_keypoint_matches1", "two_keypoint_matches2", "distance_ratio", "angle_difference", "same_cluster",
     "min_distance",
-)
+)  # fmt: skip
 TWO_KEYPOINT_COLUMNS = (
-    *PAPER_TWO_KEYPOINT_COLUMNS,
-    "scale_change_difference",
-    "turn_difference",
-    "similarity_main",
-    "similarity_neighbour",
-    "fixed_similarity_main",
-    "fixed_similarity_neighbour",
-    "candidates_main",
-    "candidates_neighbour",
-    "roll_error_main",
-    "roll_error_neighbour",
-    "scale_change_main",
-    *(f"{name}_{match}" for match in ("main", "neighbour") for name in COHERENCE_COLUMNS),
-)
+    *PAPER_TWO_KEYPOINT_COLUMNS, "scale_change_difference", "turn_difference",
+    *(f"{name}_{match}" for name in ("similarity", "fixed_similarity", "candidates", "roll_error")
+      for match in ("main", "neighbour")),
+    "scale_change_main", *(f"{name}_{match}" for match in ("main", "neighbour") for name in COHERENCE_COLUMNS),
+)  # fmt: skip
 PAPER_MATCH_COLUMNS = ("supporting_matrices", "distance_ratio", "similarity_weight")
 MATCH_COLUMNS = (
     *PAPER_MATCH_COLUMNS, "mutual", "distance_ratio_backward", "similarity", "fixed_similarity", "best_two_keypoint",
@@ -52,14 +40,20 @@ SECOND_ROUND_COLUMNS = (
 )  # fmt: skip
 
 
-def _check_ranges(settings: object, **ranges: tuple[float, float]) -> None:
-    for name, (low, high) in ranges.items():
-        value = getattr(settings, name)
-        if not low <= value <= high:
-            raise SettingsError(f"{name} is {value}, must lie in [{low}, {high}]")
+def _within(low: float, high: float, default: float) -> Any:
+    """Return a field with a default and the range that `_check_ranges` asks for."""
+    return field(default=default, metadata={"range": (low, high)})
 
 
-def _check_choice(name: str, value: str, known: tuple[str, ...]) -> None:
+def _check_ranges(settings: "FeatureSettings | PreprocessSettings") -> None:
+    for item in fields(settings):
+        low, high = item.metadata.get("range", (None, None))
+        if low is not None and not low <= (value := getattr(settings, item.name)) <= high:
+            raise SettingsError(f"{item.name} is {value}, must lie in [{low}, {high}]")
+
+
+def check_choice(name: str, value: str, known: tuple[str, ...]) -> None:
+    """Raise SettingsError unless a value is among the known ones."""
     if value not in known:
         raise SettingsError(f"{name} is {value!r}, known: {', '.join(known)}")
 
@@ -81,22 +75,16 @@ class FeatureSettings:
     """
 
     detector: str = "sift"
-    max_image_size: int = 1024
-    max_keypoints: int = 8000
-    contrast_threshold: float = 0.013
-    min_scale: float = 0.0
+    max_image_size: int = _within(64, math.inf, 1024)
+    max_keypoints: int = _within(8, math.inf, 8000)
+    contrast_threshold: float = _within(0.0, 1.0, 0.013)
+    min_scale: float = _within(0.0, 1000.0, 0.0)
     root: bool = True
     centred: bool = True
 
     def __post_init__(self) -> None:
-        _check_choice("detector", self.detector, DETECTORS)
-        _check_ranges(
-            self,
-            max_image_size=(64, float("inf")),
-            max_keypoints=(8, float("inf")),
-            contrast_threshold=(0.0, 1.0),
-            min_scale=(0.0, 1000.0),
-        )
+        check_choice("detector", self.detector, DETECTORS)
+        _check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,41 +113,26 @@ class PreprocessSettings:
     name: str
     model: str = "default"
     features: FeatureSettings = field(default_factory=FeatureSettings)
-    max_distance_ratio: float = 0.95
-    roll_bandwidth_deg: float = 7.0
-    merge_rolls_deg: float = 5.0
-    min_cluster_similarity: float = 0.85
-    max_matches_per_cluster_pair: int = 400
-    nearest: int = 5
-    within: float = 5.0
-    nearest_of_cluster: int = 1
-    max_within: int = 40
-    two_keypoint_count: int = 100
+    max_distance_ratio: float = _within(0.0, 1.0, 0.95)
+    roll_bandwidth_deg: float = _within(0.5, 90.0, 7.0)
+    merge_rolls_deg: float = _within(0.0, 180.0, 5.0)
+    min_cluster_similarity: float = _within(-1.0, 1.0, 0.85)
+    max_matches_per_cluster_pair: int = _within(1, 1_000_000, 400)
+    nearest: int = _within(0, 1000, 5)
+    within: float = _within(0.0, 1000.0, 5.0)
+    nearest_of_cluster: int = _within(0, 100, 1)
+    max_within: int = _within(0, 1000, 40)
+    two_keypoint_count: int = _within(2, 1000, 100)
     frame: str = "2keypoint"
-    frame_radius: float = 6.0
-    vote_threshold: float = 3.0
+    frame_radius: float = _within(0.1, 100.0, 6.0)
+    vote_threshold: float = _within(0.01, 100.0, 3.0)
     two_keypoint_columns: tuple[str, ...] = TWO_KEYPOINT_COLUMNS
     match_columns: tuple[str, ...] = MATCH_COLUMNS
-    second_round: int = 3000
+    second_round: int = _within(0, 1_000_000, 3000)
 
     def __post_init__(self) -> None:
-        _check_choice("frame", self.frame, FRAMES)
-        _check_ranges(
-            self,
-            max_distance_ratio=(0.0, 1.0),
-            roll_bandwidth_deg=(0.5, 90.0),
-            merge_rolls_deg=(0.0, 180.0),
-            min_cluster_similarity=(-1.0, 1.0),
-            max_matches_per_cluster_pair=(1, 1_000_000),
-            nearest=(0, 1000),
-            within=(0.0, 1000.0),
-            nearest_of_cluster=(0, 100),
-            max_within=(0, 1000),
-            two_keypoint_count=(2, 1000),
-            frame_radius=(0.1, 100.0),
-            vote_threshold=(0.01, 100.0),
-            second_round=(0, 1_000_000),
-        )
+        check_choice("frame", self.frame, FRAMES)
+        _check_ranges(self)
 
     @property
     def extended(self) -> bool:
@@ -181,13 +154,12 @@ PAPER = PreprocessSettings(
 DEFAULT = PreprocessSettings(name="default")
 FAST = PreprocessSettings(name="fast", features=FeatureSettings(max_keypoints=4000))
 THOROUGH = PreprocessSettings(
-    name="thorough",
-    features=FeatureSettings(max_image_size=1600, max_keypoints=16_000, contrast_threshold=0.005),
+    name="thorough", features=FeatureSettings(max_image_size=1600, max_keypoints=16_000, contrast_threshold=0.005)
 )
 PRESETS = {preset.name: preset for preset in (PAPER, FAST, DEFAULT, THOROUGH)}
 
 
 def find_preset(name: str) -> PreprocessSettings:
     """Return the preset of that name, or raise SettingsError with the names there are."""
-    _check_choice("preset", name, tuple(PRESETS))
+    check_choice("preset", name, tuple(PRESETS))
     return PRESETS[name]

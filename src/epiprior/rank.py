@@ -4,20 +4,14 @@ import time
 
 import numpy as np
 
+from epiprior import presets
 from epiprior.errors import ModelError
 from epiprior.features.images import View
 from epiprior.kernels.compilation import announce_compilation
 from epiprior.kernels.parallel import in_threads
 from epiprior.matching.baselines import standard_set
 from epiprior.matching.pair import PreparedPair, Stopwatch, prepare_pair, roll_hypotheses
-from epiprior.presets import (
-    MATCH_COLUMNS,
-    PAPER_TWO_KEYPOINT_COLUMNS,
-    SECOND_ROUND_COLUMNS,
-    TWO_KEYPOINT_COLUMNS,
-    PreprocessSettings,
-    find_preset,
-)
+from epiprior.presets import PreprocessSettings, find_preset
 from epiprior.ranking.hypothesis import Candidates, Votes, cast_votes, cluster_images, describe_matches, find_candidates
 from epiprior.ranking.models import RankingModel, load_model
 from epiprior.ranking.second_round import second_round_rows, second_round_table
@@ -74,7 +68,7 @@ def rank_matches(
         own = Stopwatch()
         candidates = find_candidates(prepared, rolls[k], settings, own, clustered=clustered[k])
         with own.step("2keypoint classifier"):
-            probability = model.predict_two_keypoint(candidates.two_keypoints.select(model.two_keypoint_columns))
+            probability = model.two_keypoint(candidates.two_keypoints.select(model.two_keypoint.columns))
         with own.step("votes"):
             votes = cast_votes(candidates.frames, candidates.two_keypoints, probability, settings)
         with own.step("probabilities"):
@@ -89,10 +83,10 @@ def rank_matches(
 
 def _check_columns(model: RankingModel, settings: PreprocessSettings) -> None:
     """Raise ModelError where the model has columns that are not computed: it is of another preset or version."""
-    two_keypoint = TWO_KEYPOINT_COLUMNS if settings.extended else PAPER_TWO_KEYPOINT_COLUMNS
-    known_columns = (two_keypoint, MATCH_COLUMNS, SECOND_ROUND_COLUMNS)
+    two_keypoint = presets.TWO_KEYPOINT_COLUMNS if settings.extended else presets.PAPER_TWO_KEYPOINT_COLUMNS
+    known_columns = (two_keypoint, presets.MATCH_COLUMNS, presets.SECOND_ROUND_COLUMNS)
     again = model.second_round.columns if model.second_round else ()
-    for wanted, known in zip((model.two_keypoint_columns, model.match_columns, again), known_columns, strict=True):
+    for wanted, known in zip((model.two_keypoint.columns, model.match.columns, again), known_columns, strict=True):
         missing = [name for name in wanted if name not in known]
         if missing:
             what = f"asks for columns that preset {settings.name} of this epiprior does not have"
@@ -108,7 +102,7 @@ def rank_voted(
     """
     union, frames = candidates.united.union, candidates.united.frames
     table = describe_matches(candidates.united, prepared.table, candidates.two_keypoints, votes)
-    probability = model.predict_match(table.select(model.match_columns))
+    probability = model.match(table.select(model.match.columns))
     if model.second_round and settings.second_round:
         rows = second_round_rows(probability, settings.second_round)
         again = second_round_table(rows, union, frames, table, probability, votes.matrices)

@@ -12,7 +12,7 @@ from epiprior.features.images import Photograph, View, blank_photograph, load_ph
 from epiprior.features.shortage import explain_shortage
 from epiprior.matching.baselines import generalized_matches, standard_set
 from epiprior.matching.pair import Stopwatch, prepare_pair
-from epiprior.presets import PAPER, Mode, PreprocessSettings, find_preset
+from epiprior.presets import PAPER, Mode, PreprocessSettings, check_choice, find_preset
 from epiprior.rank import rank_matches
 from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
 from epiprior.verification.cascade import CascadeRule, load_cascade_rule
@@ -74,8 +74,7 @@ def estimate_fundamental(
     Paper, section 4.7; its results end with the advice that ``cascade`` follows.
     """
     find_estimator(estimator)
-    if mode not in get_args(Mode):
-        raise SettingsError(f"mode is {mode!r}, known: {', '.join(get_args(Mode))}")
+    check_choice("mode", mode, get_args(Mode))
     if mode != "cascade" and rule is not None:
         raise SettingsError(f"rule is of the cascade, but mode is {mode!r}")
     if min_confidence is not None:

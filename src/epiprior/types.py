@@ -29,7 +29,15 @@ ImageSizes = tuple[tuple[float, float], tuple[float, float]]
 EMPTY_MAPPING: Mapping[str, Any] = MappingProxyType({})
 
 
-def _require(name: str, value: NDArray[Any], shape: tuple[int | None, ...]) -> None:
+def as_numbers(name: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
+    """Return `value` as a contiguous array of numbers; FeatureError, which names it, if it is none."""
+    try:
+        return np.ascontiguousarray(value, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise FeatureError(f"{name} is not an array of numbers: {error}") from error
+
+
+def check_array(name: str, value: NDArray[Any], shape: tuple[int | None, ...]) -> None:
     """Raise FeatureError unless `value` has `shape` (None: any length) and holds only finite numbers."""
     if value.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, value.shape, strict=True)):
         wanted = ", ".join("N" if want is None else str(want) for want in shape)
@@ -76,19 +84,11 @@ class Features:
     def __post_init__(self) -> None:
         object.__setattr__(self, "image_size", _size_of(self.image_size))
         n: int | None = None
-        widths: dict[str, tuple[int | None, ...]] = {
-            "xy": (2,),
-            "scale": (),
-            "orientation_deg": (),
-            "descriptors": (None,),
-        }
-        for name, width in widths.items():
+        widths: tuple[tuple[int | None, ...], ...] = ((2,), (), (), (None,))
+        for name, width in zip(("xy", "scale", "orientation_deg", "descriptors"), widths, strict=True):
             dtype = np.float32 if name == "descriptors" else np.float64
-            try:
-                value = np.ascontiguousarray(getattr(self, name), dtype=dtype)
-            except (TypeError, ValueError) as error:
-                raise FeatureError(f"features: {name} is not an array of numbers: {error}") from error
-            _require(f"features: {name}", value, (n, *width))
+            value = as_numbers(f"features: {name}", getattr(self, name), dtype)
+            check_array(f"features: {name}", value, (n, *width))
             object.__setattr__(self, name, value)
             n = len(value)
         if n and float(self.scale.min()) <= 0:

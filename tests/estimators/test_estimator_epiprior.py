@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from epiprior.estimators.evidence import Evidence, spread_evidence
+from epiprior.estimators.evidence import spread_evidence
 from epiprior.estimators.proposals import models_of_plane, oriented_pairs, plane_and_parallax, progressive_rows
-from epiprior.geometry import as_columns, normalise_fundamental, sampson_distance
+from epiprior.geometry import Evidence, as_columns, normalise_fundamental, sampson_distance
 from epiprior.kernels.local_steps import climb, refine_models
 from epiprior.kernels.samples import generator_state
 from epiprior.types import FloatArray, Status

@@ -49,7 +49,7 @@ def test_probabilities_are_calibrated_strictly_increasing(folder):
     X = rows(1000)
     logit = np.clip(X @ np.array([MATCH_WEIGHTS.get(name, 0.0) for name in DEFAULT.match_columns]) - 1.0, -16, 16)
     edit(folder, match__calibration={"a": 0.5, "b": -0.25})
-    probability = load_model(folder).predict_match(X)
+    probability = load_model(folder).match(X)
     assert probability.dtype == np.float64
     middle = np.abs(logit) < 8
     np.testing.assert_allclose(probability[middle], expit(0.5 * logit - 0.25)[middle], atol=1e-4)
@@ -61,11 +61,11 @@ def test_probabilities_are_calibrated_strictly_increasing(folder):
 @pytest.mark.parametrize("count", [0, 1, 8192, 8193])
 def test_a_rows_value_does_not_depend_on_its_neighbours(folder, count):
     X, one = rows(count), load_model(folder)
-    probability = one.predict_match(X)
+    probability = one.match(X)
     assert probability.shape == (count,)
-    np.testing.assert_array_equal(one.predict_match(np.asfortranarray(X)), probability)
+    np.testing.assert_array_equal(one.match(np.asfortranarray(X)), probability)
     for i in {0, count // 2, count - 1} if count else ():
-        np.testing.assert_allclose(one.predict_match(X[i : i + 1])[0], probability[i], rtol=1e-6)
+        np.testing.assert_allclose(one.match(X[i : i + 1])[0], probability[i], rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_a_rows_value_does_not_depend_on_its_neighbours(folder, count):
 )
 def test_rows_of_another_kind_are_refused(folder, bad, message):
     with pytest.raises(FeatureError, match=message):
-        load_model(folder).predict_match(bad)
+        load_model(folder).match(bad)
 
 
 # --- finding
@@ -95,8 +95,8 @@ def test_a_name_is_found_in_the_package_before_the_checkout(tmp_path, monkeypatc
     assert find_model("default") == checkout
     model = load_model("default")
     assert (model.name, model.manifest["preset"]) == ("default", "default")
-    assert model.two_keypoint_columns == DEFAULT.two_keypoint_columns
-    assert model.match_columns == DEFAULT.match_columns
+    assert model.two_keypoint.columns == DEFAULT.two_keypoint_columns
+    assert model.match.columns == DEFAULT.match_columns
     (package / "_models").mkdir()
     shutil.copytree(checkout, package / "_models" / "default")
     assert find_model("default") == package / "_models" / "default"

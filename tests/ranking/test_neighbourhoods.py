@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import naive
+from epiprior.presets import DEFAULT
 from epiprior.ranking.neighbourhoods import NEAREST, SAME_CLUSTER, WITHIN, nearest_points, neighbourhoods
 from synthetic import random_scene
 
@@ -11,7 +14,7 @@ FLAGS = {"nearest": NEAREST, "within": WITHIN, "cluster": SAME_CLUSTER}
 @pytest.mark.parametrize("seed", range(4))
 def test_neighbourhoods_equal_naive(seed):
     xy, scale, label = random_scene(seed)
-    found = neighbourhoods(xy, scale, label, nearest=5, within=5.0, nearest_of_cluster=2, max_within=1000)
+    found = neighbourhoods(xy, scale, label, replace(DEFAULT, nearest_of_cluster=2, max_within=1000))
     expected = naive.neighbour_rules(xy, scale, label, 5, 5.0, 2)
     for i, rules in enumerate(expected):
         part = slice(found.start[i], found.start[i + 1])
@@ -22,7 +25,7 @@ def test_neighbourhoods_equal_naive(seed):
 
 def test_the_radius_rule_keeps_the_nearest_up_to_its_cap():
     xy, scale, label = random_scene(0)
-    found = neighbourhoods(xy, scale * 50, label, nearest=0, within=5.0, nearest_of_cluster=0, max_within=7)
+    found = neighbourhoods(xy, scale * 50, label, replace(DEFAULT, nearest=0, nearest_of_cluster=0, max_within=7))
     assert (np.diff(found.start) == 7).all()
     assert set(found.neighbour[:7].tolist()) == set(np.argsort(np.hypot(*(xy - xy[0]).T))[1:8].tolist())
 

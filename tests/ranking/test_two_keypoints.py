@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import naive
-from epiprior.presets import COHERENCE_COLUMNS, PAPER_TWO_KEYPOINT_COLUMNS, TWO_KEYPOINT_COLUMNS
+from epiprior.presets import COHERENCE_COLUMNS, DEFAULT, PAPER_TWO_KEYPOINT_COLUMNS, TWO_KEYPOINT_COLUMNS
 from epiprior.ranking.neighbourhoods import neighbourhoods
 from epiprior.ranking.two_keypoints import best_two_keypoint_matches, describe_two_keypoint_matches, match_two_keypoints
 from synthetic import make_frames, make_putative, random_scene
@@ -18,7 +20,7 @@ def random_pair(seed, m=400):
         columns[f"x{k}"], columns[f"scale{k}"] = scene[0][feature], scene[1][feature]
         columns[f"orientation{k}_rad"] = rng.uniform(0, 6, 60)[feature]
     columns |= {name: rng.uniform(-1, 1, len(X)) for name in ("similarity", "fixed_similarity")}
-    around = (neighbourhoods(*scene, max_within=1000) for scene in scenes)
+    around = (neighbourhoods(*scene, replace(DEFAULT, max_within=1000)) for scene in scenes)
     return *scenes, X, make_frames(**columns), *match_two_keypoints(X, *around)
 
 

@@ -24,16 +24,12 @@ _MOST_IMAGES = 2147483647  # COLMAP numbers a pair by image1 * this + image2
 class CameraSettings:
     """The cameras of a new database.
 
-    Parameters
-    ----------
-    mode : Which images share one: all, those of a folder, or none.
-    model : COLMAP's name of a camera model.
-    params : Its parameters, separated by commas, as COLMAP takes them; empty: the focal length as COLMAP infers it,
-        from EXIF or 1.2 times the longer side.
+    Parameters are separated by commas, as COLMAP takes them. Without them the focal length is as COLMAP infers it, from
+    EXIF or 1.2 times the longer side.
     """
 
-    mode: CameraMode = "per-image"
-    model: str = "SIMPLE_RADIAL"
+    mode: CameraMode = "per-image"  # which images share one: all, those of a folder, or none
+    model: str = "SIMPLE_RADIAL"  # COLMAP's name of a camera model
     params: str = ""
 
 

@@ -6,7 +6,7 @@ depend on. A pair then decodes a photograph only under another roll hypothesis.
 
 import hashlib
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,17 +76,6 @@ def _load(image: CollectionImage, limit: int) -> Photograph:
     return load_photograph(image.path, limit, turn=False, mask=mask)
 
 
-@dataclass(frozen=True)
-class _Undecoded(Photograph):
-    """A photograph of the right size whose pixels are decoded when a step asks for them."""
-
-    image: CollectionImage | None = None
-
-    def pixels(self) -> NDArray[np.uint8]:
-        assert self.image is not None
-        return _load(self.image, max(self.grey.shape)).grey
-
-
 @dataclass(frozen=True, kw_only=True)
 class StoredFeatures:
     """What the file of an image holds."""
@@ -99,7 +88,7 @@ class StoredFeatures:
         if self.fixed is None:
             return None
         blank = blank_photograph(self.features.image_size, settings.max_image_size)
-        view = _Undecoded(blank.grey, blank.size, name=str(image.path), image=image)
+        view = replace(blank, name=str(image.path), decode=lambda: _load(image, settings.max_image_size).grey)
         located = self.features.take(unique_locations(self.features)[0])
         remember_description(view, located, 0.0, self.fixed)
         return view

@@ -6,7 +6,7 @@ import numpy as np
 
 from epiprior.collection.images import ImageSet, known_images
 from epiprior.collection.run import MatchedCollection
-from epiprior.errors import FeatureError, OutputError
+from epiprior.errors import FeatureError, OutputError, require
 from epiprior.io.features import hloc_names
 from epiprior.io.output import check_output, replacing
 
@@ -15,11 +15,7 @@ _MOST_SHORT = np.iinfo(np.int16).max
 
 def check_hloc_output(path: Path) -> None:
     """Raise OutputError, before any work, where matches can never be written to `path`, which must not exist."""
-    try:
-        import h5py
-    except ImportError as error:
-        raise OutputError(f"{path}: an h5 file needs h5py: pip install 'h5py>=3.13,<4'") from error
-    del h5py
+    require("h5py", f"{path}: an h5 file")
     check_output(path)
     if path.exists():
         raise OutputError(f"{path}: exists already; a file of matches is not overwritten")

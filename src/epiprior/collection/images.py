@@ -25,20 +25,12 @@ _MOST_NAMED = 5
 
 @dataclass(frozen=True, kw_only=True)
 class CollectionImage:
-    """A photograph of a collection.
+    """A photograph of a collection."""
 
-    Parameters
-    ----------
-    name : What COLMAP calls it: its path relative to the folder of the collection, with slashes.
-    path : The file; None where only its features are known.
-    mask : A picture that is black where nothing is looked for; None: everywhere is looked.
-    digest : SHA-256 of the bytes of the file and of the mask; empty without a file.
-    """
-
-    name: str
-    path: Path | None
-    mask: Path | None = None
-    digest: str = ""
+    name: str  # what COLMAP calls it: its path relative to the folder of the collection, with slashes
+    path: Path | None  # None where only its features are known
+    mask: Path | None = None  # a picture that is black where nothing is looked for; None: everywhere is looked
+    digest: str = ""  # SHA-256 of the bytes of the file and of the mask; empty without a file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,18 +47,13 @@ def find_images(
 ) -> ImageSet:
     """Find and check the photographs of a collection.
 
-    Parameters
-    ----------
-    given : A folder, which is searched with its subfolders for files that are called like images, or image files and
-        folders. Names are relative to the folder, or to the deepest that holds all.
-    mask_path : A folder of masks, called as COLMAP calls them: ``NAME.png`` or NAME with ``.png`` for its suffix.
-        Every photograph needs one, of its size.
-    known : Names in `given`, a folder, to take instead of all that are found there.
+    `given` is a folder, which is searched with its subfolders for files that are called like images, or image files and
+    folders. Names are relative to the folder, or to the deepest that holds all. `mask_path` is a folder of masks,
+    called as COLMAP calls them: ``NAME.png`` or NAME with ``.png`` for its suffix. Every photograph needs one, of its
+    size. `known` are names in `given`, a folder, to take instead of all that are found there.
 
-    Raises
-    ------
-    ImageError : If a photograph or mask is missing, unreadable, given twice or of another size, a name is not UTF-8, or
-        fewer than two are left; the message names them.
+    ImageError if a photograph or mask is missing, unreadable, given twice or of another size, a name is not UTF-8, or
+    fewer than two are left; the message names them.
     """
     places = [Path(given)] if isinstance(given, str | Path) else [Path(place) for place in given]
     root, files, left_out = _files(places, known)

@@ -14,10 +14,9 @@ from epiprior.collection.features import first_rows, read_features
 from epiprior.collection.images import CollectionImage
 from epiprior.collection.store import MatchedPair
 from epiprior.collection.workers import installation
-from epiprior.errors import SettingsError
 from epiprior.io.colmap import configuration_of
 from epiprior.kernels.one_to_one import one_to_one_mask
-from epiprior.presets import Mode, PreprocessSettings
+from epiprior.presets import Mode, PreprocessSettings, check_choice
 from epiprior.two_view import estimate_fundamental
 from epiprior.types import Features, FloatArray, IntArray
 
@@ -36,8 +35,7 @@ class MatchSettings:
     threshold_px: float | None = None
 
     def __post_init__(self) -> None:
-        if self.mode not in get_args(Mode):
-            raise SettingsError(f"mode is {self.mode!r}, known: {', '.join(get_args(Mode))}")
+        check_choice("mode", self.mode, get_args(Mode))
 
     def pair_key(self, feature_keys: tuple[str, str]) -> bytes:
         """Return what the matches of two images depend on."""

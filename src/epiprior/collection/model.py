@@ -16,26 +16,16 @@ from epiprior.types import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """A model that the mapper has written to `folder`, with `points.ply` beside its binary files.
-
-    Parameters
-    ----------
-    seen : Number of points that each registered image sees, by name.
-    centres, rotations : (N, 3) and (N, 3, 3), of the registered images in the order of `seen`: camera centre, and
-        rotation from the world to the camera.
-    points, colours : (P, 3), points, and their colours, RGB.
-    tracks : How many points are seen by how many images.
-    error_px : Mean reprojection error.
-    """
+    """A model that the mapper has written to `folder`, with `points.ply` beside its binary files."""
 
     folder: Path
-    seen: Mapping[str, int]
-    centres: FloatArray
-    rotations: FloatArray
-    points: FloatArray
-    colours: NDArray[np.uint8]
-    tracks: Mapping[int, int]
-    error_px: float
+    seen: Mapping[str, int]  # number of points that each registered image sees, by name
+    centres: FloatArray  # (N, 3), of the cameras of the registered images, in the order of `seen`
+    rotations: FloatArray  # (N, 3, 3), from the world to these cameras
+    points: FloatArray  # (P, 3)
+    colours: NDArray[np.uint8]  # (P, 3), RGB
+    tracks: Mapping[int, int]  # how many points are seen by how many images
+    error_px: float  # mean reprojection error
 
 
 def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0, refine: bool = True) -> list[Model]:

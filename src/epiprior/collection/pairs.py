@@ -28,18 +28,12 @@ def default_pairs(count: int) -> str:
 def choose_pairs(
     how: str, names: Sequence[str], descriptors: Callable[[int], Float32Array] | None = None
 ) -> list[Pair] | None:
-    """Return pairs of places in `names`, the lower first, in ascending order.
+    """Return pairs of places in the sorted `names` of the images, the lower first, in ascending order.
 
-    Parameters
-    ----------
-    how : ``exhaustive``; ``sequential:K``: each image and the K after it by name; ``similar:K``: each image and the K
-        that share most of their visual words; else a file, one pair of names per line, as hloc and COLMAP write it.
-    names : Of the images, sorted.
-    descriptors : Returns the unit descriptors of an image, (N, D). Without it, ``similar`` gives None: not yet known.
-
-    Raises
-    ------
-    SettingsError : If `how` is none of these, a line of the file is no pair of images, or no pair is left.
+    `how` is ``exhaustive``; ``sequential:K``: each image and the K after it by name; ``similar:K``: each image and the
+    K that share most of their visual words; else a file, one pair of names per line, as hloc and COLMAP write it.
+    `descriptors` returns the unit descriptors of an image, (N, D). Without it, ``similar`` gives None: not yet known.
+    SettingsError if `how` is none of these, a line of the file is no pair of images, or no pair is left.
     """
     kind, _, number = how.partition(":")
     if how == "exhaustive":

@@ -21,12 +21,13 @@ from epiprior.errors import OutputError
 from epiprior.estimators import find_estimator
 from epiprior.features.describe import normalise_descriptors
 from epiprior.io.output import replacing
-from epiprior.presets import Mode, PreprocessSettings, find_preset
+from epiprior.presets import FeatureSettings, Mode, PreprocessSettings, find_preset
 from epiprior.types import Features, Float32Array
 
 OnPair = Callable[[MatchedPair], None]
 OnProgress = Callable[[str, int, int], None]
 Given = Callable[[str], Features]
+Ready = Callable[[], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +126,8 @@ def match_collection(
     with contextlib.ExitStack() as stack:
         stack.callback(_let_go, store, scratch)
         with open_pool(workers, scheduler) as pool:
-            keys = _find_features(pool, found.images, folder, chosen, given, on_progress)
+            ready = _counting(on_progress, "features", len(names))
+            keys = _find_features(pool, found.images, folder, chosen.features, given, ready)
 
             def descriptors(place: int) -> Float32Array:
                 own = read_features(_feature_file(folder, keys[place])).features.descriptors
@@ -142,7 +144,7 @@ def match_collection(
     return matched
 
 
-def _counting(on_progress: OnProgress | None, stage: str, total: int) -> Callable[[], None]:
+def _counting(on_progress: OnProgress | None, stage: str, total: int) -> Ready:
     """Return what is called for every one that is ready."""
     numbers = itertools.count(1)
     return lambda: on_progress(stage, next(numbers), total) if on_progress else None
@@ -155,25 +157,19 @@ def _let_go(store: PairStore, scratch: str | None) -> None:
 
 
 def _find_features(
-    pool: Pool,
-    images: Sequence[CollectionImage],
-    work: Path,
-    settings: PreprocessSettings,
-    given: Given | None,
-    on_progress: OnProgress | None,
+    pool: Pool, images: Sequence[CollectionImage], work: Path, how: FeatureSettings, given: Given | None, ready: Ready
 ) -> list[str]:
-    """Make the files of features that are not there yet; return the keys of all."""
+    """Make the files of features that are not there yet, each of which is `ready` then; return the keys of all."""
     keys = [""] * len(images)
-    ready = _counting(on_progress, "features", len(images))
 
     def jobs() -> Iterator[tuple[int, tuple[Any, ...]]]:
         for place, image in enumerate(images):
             own = given(image.name) if given else None
-            keys[place] = feature_key(image, settings.features, own)
+            keys[place] = feature_key(image, how, own)
             if _feature_file(work, keys[place]).is_file():
                 ready()
             else:
-                yield place, (image, settings.features, own)
+                yield place, (image, how, own)
 
     for place, content in run_tasks(pool, make_features, jobs()):
         with replacing(_feature_file(work, keys[place])) as partial:

@@ -11,7 +11,7 @@ import typer
 
 from epiprior.commands import options
 from epiprior.commands.printing import complain, say
-from epiprior.errors import OutputError
+from epiprior.errors import OutputError, require
 
 if TYPE_CHECKING:
     from epiprior.collection.run import MatchedCollection
@@ -65,11 +65,10 @@ def sfm(
     from epiprior.collection.images import find_images
     from epiprior.collection.model import map_database
     from epiprior.collection.report import write_report
-    from epiprior.io.colmap import find_pycolmap
 
     settings = options.chosen_settings(preset, features, max_image_size, max_features)
     database, work = out / "database.db", out / "work"
-    find_pycolmap(database)
+    require("pycolmap", f"{database}: a COLMAP database")
     if out.exists() and not work.is_dir() and any(out.iterdir()):
         raise OutputError(f"{out}: is neither empty nor made by this command")
     found = find_images(images, mask_path=mask_path)

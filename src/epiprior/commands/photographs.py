@@ -9,17 +9,7 @@ from typing import Annotated
 
 import typer
 
-from epiprior.commands import options
-from epiprior.commands.printing import (
-    complain,
-    estimate_as_json,
-    explanation_as_json,
-    print_estimate,
-    print_explanation,
-    print_json,
-    say,
-    summary,
-)
+from epiprior.commands import options, printing
 from epiprior.errors import SettingsError
 
 
@@ -53,9 +43,9 @@ def match(
         from epiprior.features.shortage import explain_shortage
 
         why = explain_shortage((image1, image2), (None, None), settings.features)
-        complain(f"no matches: {why or 'no feature resembles one of the other image'}")
+        printing.complain(f"no matches: {why or 'no feature resembles one of the other image'}")
         raise typer.Exit(options.NO_GEOMETRY)
-    say(f"{out}: {counts}")
+    printing.say(f"{out}: {counts}")
 
 
 def estimate(
@@ -88,9 +78,9 @@ def estimate(
     estimation = partial(estimate_fundamental, estimator=estimator, mode=mode, seed=seed, threshold_px=threshold)
     found = estimation(image1, image2, settings=settings, min_confidence=min_confidence)
     if sys.stdout.isatty() if as_json is None else not as_json:
-        print_estimate(found)
+        printing.print_estimate(found)
     else:
-        print_json(estimate_as_json(found, preset, seed))
+        printing.print_json(printing.estimate_as_json(found, preset, seed))
     options.exit_by_status(found)
 
 
@@ -128,7 +118,7 @@ def draw(
     else:
         shown = min(ranked.sets, key=lambda s: abs(math.remainder(s.roll_deg - found.roll_deg, 360)))
     write_picture(out, draw_matches(image1, image2, shown, found, settings=DrawSettings(max_matches=matches)))
-    say(f"{out}: {summary(found)}")
+    printing.say(f"{out}: {printing.summary(found)}")
     options.exit_by_status(found)
 
 
@@ -168,8 +158,8 @@ def explain(
 
         write_picture(out, draw_explanation(image1, image2, found))
     if as_json:
-        print_json(explanation_as_json(found))
+        printing.print_json(printing.explanation_as_json(found))
     else:
-        print_explanation(found)
+        printing.print_explanation(found)
         if out:
-            say(f"{out}: the picture")
+            printing.say(f"{out}: the picture")

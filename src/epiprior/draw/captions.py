@@ -59,22 +59,19 @@ def draw_table(width: int, header: Sequence[str], rows: Sequence[Sequence[str]])
 
 def draw_header(width: int, estimate: FundamentalEstimate | None, matches: int, scale_name: str) -> Picture:
     """Return the strip above the figure: what was estimated on the left, the colour scale on the right."""
-    strip, room, unit = _headed(width, scale_name)
-    top, bottom, left = 28 * unit, 52 * unit, 10 * unit
     if estimate is None:
-        _write(strip, f"{matches} matches", (left, top), 0.7 * unit, INK, room=room, bold=True)
-    else:
-        end = _write(strip, f"{estimate.estimator}: ", (left, top), 0.7 * unit, INK, room=room / 2, bold=True)
-        end += 6 * unit
-        colour = _GOOD if estimate else _BAD
-        end = _write(strip, estimate.status.value, (end, top), 0.7 * unit, colour, room=room - end, bold=True)
-        end += 20 * unit
-        sure = f"confidence {estimate.confidence:.2f}, " if np.isfinite(estimate.confidence) else ""
-        support = f"{sure}support {estimate.support} of {len(estimate.x1)} matches"
-        _write(strip, support, (end, top), 0.6 * unit, INK, room=room - end)
-        facts = (f"geometry {estimate.geometry.value}", f"roll {estimate.roll_deg:.0f} deg", estimate.version)
-        detail = ",  ".join(part for part in (estimate.message, *facts) if part)
-        _write(strip, detail, (left, bottom), 0.5 * unit, _FAINT, room=room)
+        return draw_title(width, f"{matches} matches", "", scale_name)
+    strip, room, unit = _headed(width, scale_name)
+    top, left = 28 * unit, 10 * unit
+    end = _write(strip, f"{estimate.estimator}: ", (left, top), 0.7 * unit, INK, room=room / 2, bold=True) + 6 * unit
+    colour = _GOOD if estimate else _BAD
+    end = _write(strip, estimate.status.value, (end, top), 0.7 * unit, colour, room=room - end, bold=True) + 20 * unit
+    sure = f"confidence {estimate.confidence:.2f}, " if np.isfinite(estimate.confidence) else ""
+    support = f"{sure}support {estimate.support} of {len(estimate.x1)} matches"
+    _write(strip, support, (end, top), 0.6 * unit, INK, room=room - end)
+    facts = (f"geometry {estimate.geometry.value}", f"roll {estimate.roll_deg:.0f} deg", estimate.version)
+    detail = ",  ".join(part for part in (estimate.message, *facts) if part)
+    _write(strip, detail, (left, 52 * unit), 0.5 * unit, _FAINT, room=room)
     return strip
 
 

@@ -40,17 +40,10 @@ def draw_explanation(image1: Image, image2: Image, explanation: Explanation) -> 
     detail += f";  {supported}" if supported else ""
     whole = [_drawn(*each) for each in zip(panels, (e, e), points, lines, close, strict=True)]
     around = [_drawn(*each) for each in zip(close, (e, e), points, lines, strict=True)]
-    return np.vstack(
-        [
-            draw_title(width, f"match {e.match}: probability {e.probability:.3g}", detail, "probability"),
-            draw_label(width, best),
-            blank_row(whole, shape),
-            draw_label(width, held),
-            blank_row(around, shape),
-            draw_label(width, columns),
-            draw_table(width, HEADER, [column.cells() for column in e.rounds[-1].decisive()]),
-        ]
-    )
+    title = draw_title(width, f"match {e.match}: probability {e.probability:.3g}", detail, "probability")
+    first, second, third = (draw_label(width, sentence) for sentence in (best, held, columns))
+    table = draw_table(width, HEADER, [column.cells() for column in e.rounds[-1].decisive()])
+    return np.vstack([title, first, blank_row(whole, shape), second, blank_row(around, shape), third, table])
 
 
 def _closer(panel: Panel, image: Picture, points: FloatArray) -> Panel:

@@ -52,13 +52,14 @@ def read_rgb(image: Image) -> Picture:
     return np.asarray(cv2.cvtColor(read_image(image, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-def lay_out(image1: Picture, image2: Picture, largest: int) -> tuple[tuple[Panel, Panel], tuple[int, int]]:
+def lay_out(image1: Image, image2: Image, largest: int) -> tuple[tuple[Panel, Panel], tuple[int, int]]:
     """Scale both images to one height where their shapes allow it; return them and the shape of a row."""
-    sizes = [np.array(image.shape[1::-1], dtype=float) for image in (image1, image2)]
+    pictures = read_rgb(image1), read_rgb(image2)
+    sizes = [np.array(picture.shape[1::-1], dtype=float) for picture in pictures]
     factors = [min(max(size.max(), SMALLEST_PANEL), largest) / size.max() for size in sizes]
     height = max(SMALLEST_PANEL // 2, min(f * size[1] for f, size in zip(factors, sizes, strict=True)))
     factors = [min(f, height / size[1]) for f, size in zip(factors, sizes, strict=True)]
-    scaled = [dimmed(image, factor) for image, factor in zip((image1, image2), factors, strict=True)]
+    scaled = [dimmed(picture, factor) for picture, factor in zip(pictures, factors, strict=True)]
     gap = 8
     columns = [max(picture.shape[1], SMALLEST_PANEL // 2) for picture in scaled]
     row_height = max(picture.shape[0] for picture in scaled)

@@ -10,31 +10,16 @@ import cv2
 import numpy as np
 
 from epiprior.draw.captions import Colour, Picture, draw_header, draw_label, probability_colours
-from epiprior.draw.panels import (
-    SMALLEST_PANEL,
-    Panel,
-    blank_row,
-    draw_dot,
-    draw_epipolar_line,
-    draw_line,
-    lay_out,
-    read_rgb,
-)
+from epiprior.draw.panels import SMALLEST_PANEL, Panel, blank_row, draw_dot, draw_epipolar_line, draw_line, lay_out
 from epiprior.errors import SettingsError
 from epiprior.features.images import Image
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray, MatchSet
 
 # Eight hues that stay apart on a darkened photograph, also for the colour-blind (after Okabe and Ito).
 _HUES: tuple[Colour, ...] = (
-    (240, 228, 66),
-    (86, 180, 233),
-    (255, 140, 60),
-    (60, 200, 150),
-    (240, 130, 200),
-    (255, 255, 255),
-    (120, 150, 255),
-    (190, 240, 120),
-)
+    (240, 228, 66), (86, 180, 233), (255, 140, 60), (60, 200, 150),
+    (240, 130, 200), (255, 255, 255), (120, 150, 255), (190, 240, 120),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +54,7 @@ def draw_matches(
     matches) by the distance ratio. Status and support of `estimate` are written above; lines are drawn where it has F.
     """
     settings = settings or DrawSettings()
-    panels, shape = lay_out(read_rgb(image1), read_rgb(image2), settings.max_panel_size)
+    panels, shape = lay_out(image1, image2, settings.max_panel_size)
     width = shape[1]
     best = matches.one_to_one() if len(matches) else matches
     best = best.take(slice(settings.max_matches))

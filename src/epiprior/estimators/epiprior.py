@@ -4,15 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.estimators.evidence import Evidence
 from epiprior.estimators.proposals import fit_all, oriented_pairs, plane_and_parallax, progressive_rows
-from epiprior.estimators.protocol import EstimatorSettings, PartOfEpiprior, RawModel
-from epiprior.geometry import MIN_MATCHES, as_columns, sampson_distance
+from epiprior.estimators.protocol import Estimator, EstimatorSettings, RawModel
+from epiprior.geometry import MIN_MATCHES, Evidence, as_columns, different_models, sampson_distance
 from epiprior.kernels.compilation import announce_compilation
 from epiprior.kernels.local_steps import climb, refine_models
 from epiprior.kernels.parallel import in_chunks
 from epiprior.kernels.samples import generator_state
-from epiprior.types import BoolArray, FloatArray, MatchSet
+from epiprior.types import FloatArray, MatchSet
 from epiprior.verification.measures import camera_plausibility, match_weights, prior_probability, spread_groups
 
 # Thresholds in units of the inlier threshold: 1.5 px give 10, 8, 6, 4, 3, 2, 2, 1.5, 1.5.
@@ -25,7 +24,7 @@ _REFINED = 20  # models that a thread refines at a time
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpipriorEstimator(PartOfEpiprior):
+class EpipriorEstimator(Estimator):
     """Rough matrices, two oriented matches and samples of the ranking: scored, refined, optimised.
 
     Every choice among refined hypotheses follows one score: what the matches say, each part of the images once
@@ -34,7 +33,6 @@ class EpipriorEstimator(PartOfEpiprior):
     """
 
     name: str = "epiprior"
-    licence: str = "BSD-3-Clause"
     max_iterations: int = 3_000  # samples of eight matches from the head of the ranking
     head: int = 800  # so many one-to-one matches choose and refine hypotheses
     kept_rough: int = 200  # so many of the rough matrices are refined,
@@ -83,7 +81,7 @@ class _Search:
         self.prior = prior_probability(single)
         self.weights = match_weights(single, self.prior)
         self.group = spread_groups(single.x1, single.x2)
-        self.likely = Evidence(self.head.x1, self.head.x2, self.prior[:head], np.arange(len(self.head)))
+        self.likely = Evidence(self.head.x1, self.head.x2, self.prior[:head])
         self.spread = Evidence(single.x1, single.x2, self.weights, self.group)
 
     def likeliest(self, models: FloatArray, count: int) -> FloatArray:
@@ -95,16 +93,10 @@ class _Search:
     def best(self, models: FloatArray, count: int, same_share: float = 1.0) -> FloatArray:
         """Return the models with the highest scores, best first, no two of which have the same supporters."""
         scores = self.spread.scores(models, _FINE * self.px) * camera_plausibility(models, self.single.image_sizes)
-        kept: list[int] = []
-        supporters: list[BoolArray] = []
-        for k in np.argsort(-scores, kind="stable"):
-            if len(kept) == count or scores[k] <= 0:
-                break
-            own = sampson_distance(models[k], self.head.x1, self.head.x2) < _NEAR * self.px
-            if all(np.sum(own & other) < same_share * np.sum(own | other) for other in supporters):
-                kept.append(int(k))
-                supporters.append(own)
-        return models[kept]
+        order = np.argsort(-scores, kind="stable")
+        distances = ((k, sampson_distance(models[k], self.head.x1, self.head.x2)) for k in order[scores[order] > 0])
+        supporters = ((int(k), distance < _NEAR * self.px) for k, distance in distances)
+        return models[different_models(supporters, count, same_share)]
 
     def refined(self, models: FloatArray) -> FloatArray:
         """Return the models after probability-weighted eight-point fits over shrinking thresholds."""

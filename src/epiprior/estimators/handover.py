@@ -13,6 +13,7 @@ from typing import Any
 
 from epiprior.errors import SettingsError
 from epiprior.estimators.registry import names
+from epiprior.presets import check_choice
 from epiprior.settings_file import find_settings_file, parse_settings, read_settings_file
 from epiprior.types import MatchSet
 
@@ -80,8 +81,7 @@ def default_hand_over(estimator: str, kind: str) -> HandOver:
     fewest. Inputs: ``standard`` (X_L), the same on features of the preset `paper`, ``snn``,
     ``generalized`` (all matches above a similarity), and the names of models.
     """
-    if kind not in INPUTS:
-        raise SettingsError(f"input is {kind!r}, known: {', '.join(INPUTS)}")
+    check_choice("input", kind, INPUTS)
     if kind in ("standard", "paper-standard"):
         return HandOver(max_distance_ratio=0.85)
     if kind in ("snn", "generalized"):

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from epiprior.estimators.protocol import EstimatorSettings, PartOfEpiprior, RawModel
+from epiprior.estimators.protocol import Estimator, EstimatorSettings, RawModel
 from epiprior.types import MatchSet
 
 
 @dataclass(frozen=True, kw_only=True)
-class OpenCVEstimator(PartOfEpiprior):
+class OpenCVEstimator(Estimator):
     """One configuration of ``cv2.UsacParams``: OpenCV's constants for the score, local optimisation and last polish.
 
     The cap on the hypotheses is a compromise: on standard matches of 128 real pairs caps of 5,000, 20,000 and 100,000
@@ -24,7 +24,6 @@ class OpenCVEstimator(PartOfEpiprior):
     runs SPRT inside and has no switch for it; its check of degenerate samples is its own.
     """
 
-    name: str
     score: int
     local_optimisation: int
     polisher: int

@@ -8,10 +8,11 @@ pixel origin, so F comes back in it too: COLMAP's half pixel is no concern here.
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from epiprior.estimators.protocol import EstimatorSettings, RawModel, package_version
+from epiprior.estimators.protocol import Estimator, EstimatorSettings, RawModel, package_version
 from epiprior.types import MatchSet
 
 _MIN_ITERATIONS = 100
@@ -20,16 +21,13 @@ _MIN_ITERATIONS = 100
 Run = Callable[[MatchSet, EstimatorSettings, int, int], tuple[object, int | None]]
 
 
-@dataclass(frozen=True)
-class OptionalEstimator:
+@dataclass(frozen=True, kw_only=True)
+class OptionalEstimator(Estimator):
     """An estimator that another package runs."""
 
-    name: str
     package: str  # is imported
     requirement: str  # for `pip install`
     run: Run
-    max_iterations: int
-    licence: str = "BSD-3-Clause"
 
     def missing(self) -> str:
         """Return what to install, or an empty string."""
@@ -45,23 +43,22 @@ class OptionalEstimator:
         return RawModel(F=None if F is None else np.asarray(F, dtype=np.float64), iterations=drawn)
 
 
-def _poselib(progressive: bool) -> Run:
-    def run(matches: MatchSet, settings: EstimatorSettings, cap: int, seed: int) -> tuple[object, int | None]:
-        """Run PoseLib: a failure is a matrix of NaN. Its own minimum of 1,000 hypotheses costs time, for nothing."""
-        import poselib
+def _poselib(
+    progressive: bool, matches: MatchSet, settings: EstimatorSettings, cap: int, seed: int
+) -> tuple[object, int | None]:
+    """Run PoseLib: a failure is a matrix of NaN. Its own minimum of 1,000 hypotheses costs time, for nothing."""
+    import poselib
 
-        options = {
-            "progressive_sampling": progressive,
-            "max_epipolar_error": settings.threshold_px,
-            "success_prob": settings.confidence,
-            "max_iterations": cap,
-            "min_iterations": min(_MIN_ITERATIONS, cap),
-            "seed": seed,
-        }
-        F, info = poselib.estimate_fundamental(matches.x1, matches.x2, options, {})
-        return F, int(info["iterations"])
-
-    return run
+    options = {
+        "progressive_sampling": progressive,
+        "max_epipolar_error": settings.threshold_px,
+        "success_prob": settings.confidence,
+        "max_iterations": cap,
+        "min_iterations": min(_MIN_ITERATIONS, cap),
+        "seed": seed,
+    }
+    F, info = poselib.estimate_fundamental(matches.x1, matches.x2, options, {})
+    return F, int(info["iterations"])
 
 
 def _degensac(matches: MatchSet, settings: EstimatorSettings, cap: int, seed: int) -> tuple[object, int | None]:
@@ -92,9 +89,13 @@ def _colmap(matches: MatchSet, settings: EstimatorSettings, cap: int, seed: int)
 
 # PoseLib stops by the plain RANSAC bound even when it samples progressively, and so runs to the cap whenever inliers
 # are rare: 5,000 cost 30 ms on 300 matches and 0.4 s on 6,000. COLMAP's 10,000 cost 0.1 s on 300 matches.
-ESTIMATORS = (
-    OptionalEstimator("prosac", "poselib", "epiprior[poselib]", _poselib(progressive=True), 5_000),
-    OptionalEstimator("lo-ransac", "poselib", "epiprior[poselib]", _poselib(progressive=False), 5_000),
-    OptionalEstimator("degensac", "pydegensac", "epiprior[degensac]", _degensac, 20_000, licence="MIT"),
-    OptionalEstimator("colmap", "pycolmap", "pycolmap>=4", _colmap, 10_000),
+_BACKENDS: dict[str, tuple[str, str, Run, int, str]] = {
+    "prosac": ("poselib", "epiprior[poselib]", partial(_poselib, True), 5_000, "BSD-3-Clause"),
+    "lo-ransac": ("poselib", "epiprior[poselib]", partial(_poselib, False), 5_000, "BSD-3-Clause"),
+    "degensac": ("pydegensac", "epiprior[degensac]", _degensac, 20_000, "MIT"),
+    "colmap": ("pycolmap", "pycolmap>=4", _colmap, 10_000, "BSD-3-Clause"),
+}
+ESTIMATORS = tuple(
+    OptionalEstimator(name=name, package=package, requirement=needed, run=run, max_iterations=cap, licence=licence)
+    for name, (package, needed, run, cap, licence) in _BACKENDS.items()
 )

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.estimators.protocol import EstimatorSettings, PartOfEpiprior, RawModel
+from epiprior.estimators.protocol import Estimator, EstimatorSettings, RawModel
 from epiprior.estimators.ratio_prior import inlier_probability, probability_or_ratio_prior
 from epiprior.geometry import as_columns
 from epiprior.kernels.compilation import announce_compilation
@@ -59,14 +59,12 @@ class Recipe:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopEstimator(PartOfEpiprior):
+class LoopEstimator(Estimator):
     """An estimator that runs in the compiled loop."""
 
-    name: str
     recipe: Recipe
     prior: Callable[[MatchSet], FloatArray] = probability_or_ratio_prior  # weight in sampling, (N,) in [0, 1]
     max_iterations: int = 5_000  # samples; each may give up to three hypotheses
-    licence: str = "BSD-3-Clause"
 
     def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
         """Run the loop; `iterations` counts samples."""

@@ -5,7 +5,7 @@ All are deterministic: pairs of matches are taken in order, samples are drawn by
 
 import numpy as np
 
-from epiprior.geometry import as_columns, sampson_distance
+from epiprior.geometry import as_columns, sampson_distance, with_three_around
 from epiprior.kernels.parallel import in_chunks
 from epiprior.kernels.solvers import fit_samples
 from epiprior.types import FloatArray, IntArray, MatchSet
@@ -29,9 +29,9 @@ def oriented_pairs(matches: MatchSet, count: int, min_distance_px: float) -> Flo
     far = np.all([np.linalg.norm(x[i] - x[j], axis=1) >= min_distance_px for x in (head.x1, head.x2)], axis=0)
     corners = 4 * np.column_stack([np.repeat(i[far, None], 4, axis=1), np.repeat(j[far, None], 4, axis=1)])
     rows = corners + np.tile(np.arange(4), 2)
-    y1 = _with_frame(head.x1, head.scale1, head.orientation1_deg)
-    y2 = _with_frame(head.x2, head.scale2, head.orientation2_deg)
-    return fit_all(as_columns(y1, y2), rows)
+    y1 = with_three_around(head.x1, FRAME_RADIUS * head.scale1, np.deg2rad(head.orientation1_deg))
+    y2 = with_three_around(head.x2, FRAME_RADIUS * head.scale2, np.deg2rad(head.orientation2_deg))
+    return fit_all(as_columns(y1.reshape(-1, 2), y2.reshape(-1, 2)), rows)
 
 
 def fit_all(columns: FloatArray, rows: IntArray) -> FloatArray:
@@ -43,13 +43,6 @@ def fit_all(columns: FloatArray, rows: IntArray) -> FloatArray:
 
     in_chunks(work, len(rows), _CHUNK)
     return models
-
-
-def _with_frame(x: FloatArray, scale: FloatArray, orientation_deg: FloatArray) -> FloatArray:
-    """Return each point and three around it, (4 N, 2)."""
-    angle = np.deg2rad(orientation_deg)[:, None] + 2 * np.pi * np.arange(3) / 3
-    offsets = (FRAME_RADIUS * scale)[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return np.concatenate([x[:, None], x[:, None] + offsets], axis=1).reshape(-1, 2)
 
 
 def progressive_rows(matches: int, samples: int) -> IntArray:

@@ -1,9 +1,9 @@
 """What an estimator is given and what it returns, before epiprior looks at the answer."""
 
 import functools
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from importlib import metadata
-from typing import Protocol
 
 from epiprior.errors import SettingsError
 from epiprior.types import FloatArray, MatchSet
@@ -13,23 +13,14 @@ SEED_LIMIT = 2**31 - 1
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatorSettings:
-    """Settings that every estimator understands.
+    """Settings that every estimator understands; SettingsError for a value out of its range.
 
-    Parameters
-    ----------
-    threshold_px : Inlier threshold on the (unsquared) Sampson distance, pixels, > 0. Backends with another residual get
-        the same number; the mask is recomputed by epiprior in any case.
-    confidence : Wanted probability of having drawn an outlier-free sample, in (0, 1).
-    max_iterations : Cap on the hypotheses drawn, >= 1. None: the estimator's own (`Estimator.max_iterations`).
-
-    Raises
-    ------
-    SettingsError : If a value is out of its range.
+    Backends with another residual get the same threshold; the mask is recomputed by epiprior in any case.
     """
 
-    threshold_px: float = 1.5
-    confidence: float = 0.99
-    max_iterations: int | None = None
+    threshold_px: float = 1.5  # inlier threshold on the (unsquared) Sampson distance, pixels, > 0
+    confidence: float = 0.99  # wanted probability of having drawn an outlier-free sample, in (0, 1)
+    max_iterations: int | None = None  # cap on the hypotheses drawn, >= 1; None: the estimator's own
 
     def __post_init__(self) -> None:
         if not 0 < self.threshold_px < float("inf"):
@@ -48,46 +39,30 @@ class RawModel:
     iterations: int | None = None  # hypotheses drawn, where the backend tells
 
 
-class Estimator(Protocol):
-    """One robust estimator of the fundamental matrix.
+@dataclass(frozen=True, kw_only=True)
+class Estimator(ABC):
+    """One robust estimator of the fundamental matrix, by default one that needs epiprior alone.
 
     An estimator is called with distinct, finite matches in the order of the ranking, best first, and may use of them
     what it can: the order, `MatchSet.probability`, scale and orientation, or the rough matrices. It must be
     deterministic given `seed`, and must not raise because the matches are bad.
     """
 
-    @property
-    def name(self) -> str:
-        """Name in the registry."""
-
-    @property
-    def licence(self) -> str:
-        """Licence of the backend."""
-
-    @property
-    def max_iterations(self) -> int:
-        """Cap on the hypotheses drawn where the settings give none."""
+    name: str  # in the registry
+    max_iterations: int  # cap on the hypotheses drawn where the settings give none
+    licence: str = "BSD-3-Clause"  # of the backend
 
     def missing(self) -> str:
         """Return what to install, or an empty string if the estimator can run."""
-
-    def version(self) -> str:
-        """Return the backend's package and version."""
-
-    def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
-        """Return the backend's F for at least 8 distinct matches; `seed` is in [0, 2**31 - 1)."""
-
-
-class PartOfEpiprior:
-    """An estimator that needs no package beside epiprior's own dependencies."""
-
-    def missing(self) -> str:
-        """Return an empty string."""
         return ""
 
     def version(self) -> str:
-        """Return epiprior's version."""
+        """Return the backend's package and version."""
         return package_version("epiprior")
+
+    @abstractmethod
+    def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
+        """Return the backend's F for at least 8 distinct matches; `seed` is in [0, 2**31 - 1)."""
 
 
 @functools.cache  # parsing the metadata takes milliseconds, and every estimate carries a version

@@ -19,7 +19,7 @@ from epiprior.geometry import MIN_MATCHES, normalise_fundamental, refine_fundame
 from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, Geometry, MatchSet, Status
 from epiprior.verification import degeneracy
 from epiprior.verification.chance import chance_rate, distinct_count
-from epiprior.verification.confidence import Verdict, judge, load_confidence, message_of
+from epiprior.verification.confidence import MESSAGES, Verdict, judge, load_confidence
 from epiprior.verification.facts import Facts, chance_of_homography, describe_estimate
 
 Factors = tuple[float, float]
@@ -241,8 +241,7 @@ def _facts(tried: Sequence[_Hypothesis], best: _Hypothesis, H: FloatArray | None
 
 def _without_fundamental(tried: Sequence[_Hypothesis], best: _Hypothesis, kind: Geometry | None) -> Verdict:
     if kind is not None:
-        message = message_of(kind)
-        return Verdict(status=Status.DEGENERATE, geometry=kind, confidence=np.nan, message=message)
+        return Verdict(status=Status.DEGENERATE, geometry=kind, confidence=np.nan, message=MESSAGES[kind])
     # An estimator that found nothing says more than one that was not even started.
     telling = next((h.found for h in tried if h.found.status is Status.NO_MODEL), best.found)
     return Verdict(status=telling.status, geometry=Geometry.NONE, confidence=np.nan, message=telling.message)

@@ -5,7 +5,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from epiprior.errors import FeatureError
+from epiprior.errors import FeatureError, require
 from epiprior.features.describe import describe_frames
 from epiprior.features.images import Photograph
 from epiprior.presets import FeatureSettings
@@ -57,10 +57,7 @@ def _sift(photograph: Photograph, settings: FeatureSettings) -> tuple[FloatArray
 
 
 def _colmap_sift(photograph: Photograph, settings: FeatureSettings) -> tuple[FloatArray, Float32Array]:
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise FeatureError("the detector colmap-sift needs pycolmap: pip install 'pycolmap>=4,<5'") from error
+    pycolmap = require("pycolmap", "the detector colmap-sift", FeatureError)
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.sift.max_num_features = settings.max_keypoints

@@ -11,7 +11,7 @@ import os
 import re
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,7 @@ class Photograph:
     size: tuple[int, int]  # width and height of the image as given
     visible: BoolArray | None = None  # (h, w), where the image is not transparent; None: everywhere
     name: str = ""  # of the file, for messages; empty for an array
+    decode: Callable[[], NDArray[np.uint8]] | None = field(default=None, repr=False, compare=False)  # if not `grey`
     described: dict[bytes, Float32Array] = field(default_factory=dict, init=False, repr=False, compare=False)
     octaves: dict[int, list[Float32Array]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -76,7 +77,7 @@ class Photograph:
 
     def pixels(self) -> NDArray[np.uint8]:
         """Return `grey`; one that is kept without its pixels decodes them."""
-        return self.grey
+        return self.decode() if self.decode else self.grey
 
     def shows(self, xy: FloatArray) -> BoolArray:
         """Return at which working pixels, shape (N, 2), the image is not transparent."""

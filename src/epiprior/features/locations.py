@@ -11,19 +11,15 @@ from epiprior.types import Features, FloatArray, IntArray
 def unique_locations(features: Features) -> tuple[IntArray, IntArray]:
     """Find the features that differ only in orientation: at a fixed orientation these twins are identical.
 
-    Returns
-    -------
-    first : (L,) int64. Index of the first feature of each (location, scale), ascending: the detector's strongest.
-    location : (N,) int64. For each feature, the index into `first` of its (location, scale).
+    Returns the index of the first feature of each (location, scale), (L,), ascending: the detector's strongest; and for
+    each feature, (N,), the index into these of its (location, scale).
     """
     if not len(features):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     key = np.column_stack([features.xy, features.scale])
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    return first[order].astype(np.int64), rank[inverse.reshape(-1)]
+    return first[order].astype(np.int64), np.argsort(order)[inverse.reshape(-1)]
 
 
 @dataclass(frozen=True)

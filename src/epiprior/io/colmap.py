@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from epiprior.errors import ImageError, OutputError
+from epiprior.errors import ImageError, OutputError, require
 from epiprior.features.images import read_image
 from epiprior.io.output import check_output, replacing
 from epiprior.kernels.one_to_one import one_to_one_mask
@@ -102,7 +102,7 @@ def writable(path: Path, target: Path) -> Iterator[Any]:
 
 def check_colmap_output(path: Path) -> ModuleType:
     """Return pycolmap, or raise OutputError, before any work is done, where `path` can never be written."""
-    pycolmap = find_pycolmap(path)
+    pycolmap = require("pycolmap", f"{path}: a COLMAP database")
     check_output(path)
     if path.exists():
         raise OutputError(f"{path}: exists already; a database is not overwritten")
@@ -120,15 +120,6 @@ def quiet() -> Iterator[None]:
         yield
     finally:
         pycolmap.logging.minloglevel = before
-
-
-def find_pycolmap(path: Path) -> ModuleType:
-    """Return pycolmap, or raise OutputError, which names what was to be written."""
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise OutputError(f"{path}: a COLMAP database needs pycolmap: pip install 'pycolmap>=4,<5'") from error
-    return pycolmap  # type: ignore[no-any-return, unused-ignore]
 
 
 def _absolute(image: Path) -> Path:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from epiprior.errors import FeatureError
+from epiprior.errors import FeatureError, require
 from epiprior.types import Features, Float32Array, FloatArray
 
 _HALF_PIXEL = 0.5  # COLMAP has the centre of the top-left pixel there
@@ -50,10 +50,7 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
         described by SIFT; the message names the file.
     """
     database = Path(database)
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise FeatureError(f"{database}: a COLMAP database needs pycolmap: pip install 'pycolmap>=4,<5'") from error
+    pycolmap = require("pycolmap", f"{database}: a COLMAP database", FeatureError)
     where = f"{database}: image {image_name!r}"
     _check_is_colmap(database, image_name)
     try:
@@ -105,10 +102,7 @@ def read_hloc_features(path: str | Path, image_name: str, *, roots: int = 2) -> 
         are negative; the message names the file.
     """
     path = Path(path)
-    try:
-        import h5py
-    except ImportError as error:
-        raise FeatureError(f"{path}: an h5 file needs h5py: pip install 'h5py>=3.13,<4'") from error
+    h5py = require("h5py", f"{path}: an h5 file", FeatureError)
     _check_is_file(path)
     try:
         with h5py.File(path, "r") as file:

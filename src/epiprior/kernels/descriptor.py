@@ -178,3 +178,15 @@ def describe_level(pixels, height, width, frames, rows, out):  # type: ignore[no
             hist[k] = _ZERO
         _share_out(dx, dy, row, column, cell, hist)
         _finish(hist, out[n])
+
+
+@compiled(fastmath={"contract", "reassoc", "nsz"})
+def inner_product(a, b):  # type: ignore[no-untyped-def]
+    """Return the inner product of two rows, float32; summed in as many parts as a vector of the processor holds.
+
+    For the few pairs of descriptors of which a matrix product would compute too many.
+    """
+    total = np.float32(0)
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total

@@ -109,11 +109,9 @@ def attainable(gain: NDArray[np.float64], kind: int) -> NDArray[np.float64]:
 def likelihood_odds(validity: NDArray[np.float64], sigma: float, width: float) -> NDArray[np.float64]:
     """Return the odds of `LIKELIHOOD`: of an inlier at distance 0 against an outlier somewhere in `width`.
 
-    Parameters
-    ----------
-    validity : (N,) float64. Prior probability v of each match, in [0, 1]; kept to [0.001, 0.999].
-    sigma : Standard deviation of the distance of an inlier, whose density at 0 is ``sqrt(2 / pi) / sigma``.
-    width : Range w over which outliers are spread evenly, in the unit of `sigma`.
+    `validity`, shape (N,), is the prior probability v of each match, kept to [0.001, 0.999]; `sigma` the standard
+    deviation of the distance of an inlier, whose density at 0 is ``sqrt(2 / pi) / sigma``; `width` the range w over
+    which outliers are spread evenly, in the unit of `sigma`.
     """
     v = np.clip(validity, 0.001, 0.999)
     odds: NDArray[np.float64] = v / (1 - v) * width * math.sqrt(2 / math.pi) / sigma

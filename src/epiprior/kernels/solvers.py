@@ -9,16 +9,7 @@ import math
 
 import numpy as np
 
-from epiprior.kernels.algebra import (
-    copy_matrix,
-    det3,
-    make_rank_two,
-    mixed_det3,
-    null_space,
-    real_roots,
-    scale_to_unit,
-    smallest_vector,
-)
+from epiprior.kernels import algebra
 from epiprior.kernels.compilation import compiled
 
 
@@ -39,15 +30,17 @@ def seven_point(columns, sample, models):  # type: ignore[no-untyped-def]
     for k in range(7):
         i = sample[k]
         fill_row(A[k], columns[0, i], columns[1, i], columns[2, i], columns[3, i])
-    if not null_space(A, 7, basis):
+    if not algebra.null_space(A, 7, basis):
         return 0
     G, H = basis[0], basis[1]
-    count = real_roots(det3(G), mixed_det3(G, H), mixed_det3(H, G), det3(H), roots)
+    count = algebra.real_roots(
+        algebra.det3(G), algebra.mixed_det3(G, H), algebra.mixed_det3(H, G), algebra.det3(H), roots
+    )
     found = 0
     for k in range(count):
         for j in range(9):
             models[found, j // 3, j % 3] = G[j] + roots[k] * H[j]
-        if scale_to_unit(models[found]):
+        if algebra.scale_to_unit(models[found]):
             found += 1
     return found
 
@@ -90,9 +83,9 @@ def weighted_eight_point(columns, w, F):  # type: ignore[no-untyped-def]  # noqa
                 for j in range(i + 1):
                     A[i, j] += scaled * row[j]
     flat = np.array([0.31, -0.22, 0.17, 0.41, 0.13, -0.37, 0.29, 0.47, 0.43])
-    smallest_vector(A, flat)
+    algebra.smallest_vector(A, flat)
     f = flat.reshape(3, 3)
-    make_rank_two(f)
+    algebra.make_rank_two(f)
     # F = T2' f T1 with T = [[s, 0, -s cx], [0, s, -s cy], [0, 0, 1]].
     for i in range(3):
         f[i, 2] -= f1 * (f[i, 0] * a + f[i, 1] * b)
@@ -102,9 +95,9 @@ def weighted_eight_point(columns, w, F):  # type: ignore[no-untyped-def]  # noqa
         f[2, j] -= f2 * (f[0, j] * c + f[1, j] * d)
         f[0, j] *= f2
         f[1, j] *= f2
-    if not scale_to_unit(f):
+    if not algebra.scale_to_unit(f):
         return False
-    copy_matrix(f, F)
+    algebra.copy_matrix(f, F)
     return True
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.kernels.compilation import compiled
-from epiprior.kernels.similarity import inner_product
+from epiprior.kernels.descriptor import inner_product
 from epiprior.matching.clusters import Clusters
 from epiprior.matching.standard import nearest_neighbours
 from epiprior.types import Float32Array, IntArray
@@ -33,13 +33,9 @@ def matched_clusters(clusters1: Clusters, clusters2: Clusters) -> IntArray:
     if not len(clusters1) or not len(clusters2):
         return np.empty((0, 2), np.int64)
     forward, backward = nearest_neighbours(clusters1.representative, clusters2.representative)
-    pairs = np.concatenate(
-        [
-            np.column_stack([np.arange(len(clusters1)), forward.nearest]),
-            np.column_stack([backward.nearest, np.arange(len(clusters2))]),
-        ]
-    )
-    return np.unique(pairs, axis=0)
+    there = np.column_stack([np.arange(len(clusters1)), forward.nearest])
+    back = np.column_stack([backward.nearest, np.arange(len(clusters2))])
+    return np.unique(np.concatenate([there, back]), axis=0)
 
 
 @compiled

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from epiprior.kernels.compilation import compiled
-from epiprior.kernels.similarity import inner_product
+from epiprior.kernels.descriptor import inner_product
 from epiprior.matching.pair import PreparedPair
 from epiprior.types import BoolArray, Float32Array, FloatArray, IntArray
 

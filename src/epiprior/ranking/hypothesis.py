@@ -15,15 +15,7 @@ from epiprior.presets import DEFAULT, PreprocessSettings
 from epiprior.ranking.coherence import coherence, descriptor_weights
 from epiprior.ranking.frames import MatchFrames, match_frames
 from epiprior.ranking.neighbourhoods import neighbourhoods
-from epiprior.ranking.probabilities import (
-    MatchTable,
-    Union,
-    lookup,
-    match_table,
-    pair_columns,
-    two_keypoint_scores,
-    unite,
-)
+from epiprior.ranking.probabilities import MatchTable, Union, match_table, pair_columns, two_keypoint_scores, unite
 from epiprior.ranking.two_keypoints import (
     TwoKeypointMatches,
     best_two_keypoint_matches,
@@ -33,13 +25,8 @@ from epiprior.ranking.two_keypoints import (
 from epiprior.ranking.votes import count_votes, frame_points, rough_fundamental_matrices
 from epiprior.types import Float32Array, FloatArray, IntArray
 
-
-@dataclass(frozen=True, kw_only=True)
-class ClusteredImage:
-    """The features of one image, one per location, described at a fixed orientation, and their clusters."""
-
-    descriptors: Float32Array  # (L, D), unit length
-    clusters: Clusters
+# Unit descriptors of the locations of one image at a fixed orientation, (L, D), and their clusters.
+ClusteredImage = tuple[Float32Array, Clusters]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +85,7 @@ def cluster_images(
         fixed = in_threads(describe, views)
     with watch.step("clusters"):
         clusters = in_threads(lambda one: cluster_features(one, settings.min_cluster_similarity), fixed)
-    first, *second = (ClusteredImage(descriptors=d, clusters=c) for d, c in zip(fixed, clusters, strict=True))
+    first, *second = zip(fixed, clusters, strict=True)
     return [(first, one) for one in second]
 
 
@@ -116,7 +103,7 @@ def find_candidates(
     """
     watch = watch or Stopwatch()
     one, two = clustered or cluster_images(prepared, [roll_deg], settings, watch)[0]
-    fixed, clusters1, clusters2 = (one.descriptors, two.descriptors), one.clusters, two.clusters
+    fixed, (clusters1, clusters2) = (one[0], two[0]), (one[1], two[1])
     with watch.step("putative matches"):
         X = putative_matches(clusters1, clusters2, *fixed, settings.max_matches_per_cluster_pair)
         union = unite(X, prepared.table)
@@ -126,23 +113,15 @@ def find_candidates(
     with watch.step("coherence"):
         around = None
         if settings.extended:
-            ratios = union.ratios(prepared.table)
+            ratios = union.of_standard(prepared.table.distance_ratio, 1.0)
             weights = descriptor_weights(union.location1, union.location2, all_frames.fixed_similarity, ratios)
             around = coherence(all_frames, union.location1, weights)[union.in_x >= 0]
     with watch.step("2keypoints"):
         label1, label2 = clusters1.label, clusters2.label
-        neighbours = [
-            neighbourhoods(
-                place.xy,
-                place.scale,
-                label,
-                nearest=settings.nearest,
-                within=settings.within,
-                nearest_of_cluster=settings.nearest_of_cluster,
-                max_within=settings.max_within,
-            )
+        neighbours = (
+            neighbourhoods(place.xy, place.scale, label, settings)
             for place, label in zip(prepared.locations, (label1, label2), strict=True)
-        ]
+        )
         main, other = match_two_keypoints(X, *neighbours)
         same_cluster = label1[X.feature1[main]] == label1[X.feature1[other]]
         same_cluster &= label2[X.feature2[main]] == label2[X.feature2[other]]
@@ -175,6 +154,6 @@ def describe_matches(
     """Describe every match by kpmd (section 4.6)."""
     frames, union = united.frames, united.union
     scores = two_keypoint_scores(two_keypoints, votes.probability, len(votes.sfm))
-    around = coherence(frames, union.location1, lookup(scores[0], union.in_x, 0.0))
+    around = coherence(frames, union.location1, union.of_x(scores[0]))
     pair = pair_columns(votes.strengths, votes.weighted)
     return match_table(union, frames, table, votes.sfm, votes.weighted, scores, around, pair)

@@ -86,33 +86,9 @@ class RankingModel:
 
     name: str
     manifest: Mapping[str, Any]  # contents of manifest.json: preset, training data, metrics, library versions, hashes
-    two_keypoint: Classifier
-    match: Classifier
+    two_keypoint: Classifier  # of columns of 2kpmd (section 4.4)
+    match: Classifier  # of columns of kpmd (section 4.6)
     second_round: Classifier | None = None
-
-    @property
-    def two_keypoint_columns(self) -> tuple[str, ...]:
-        """Names of the columns of 2kpmd that the model was trained on, in order."""
-        return self.two_keypoint.columns
-
-    @property
-    def match_columns(self) -> tuple[str, ...]:
-        """Names of the columns of kpmd that the model was trained on, in order."""
-        return self.match.columns
-
-    def predict_two_keypoint(self, rows: Float32Array) -> FloatArray:
-        """Return the calibrated probability that each 2keypoint match consists of right matches (section 4.4), (N,).
-
-        `rows`, shape (N, C), float32, hold `two_keypoint_columns`; other ones raise FeatureError.
-        """
-        return self.two_keypoint(rows)
-
-    def predict_match(self, rows: Float32Array) -> FloatArray:
-        """Return the calibrated probability that each match is right (section 4.6), shape (N,).
-
-        `rows`, shape (N, C), float32, hold `match_columns`; other ones raise FeatureError.
-        """
-        return self.match(rows)
 
 
 def find_model(name: str) -> Path:

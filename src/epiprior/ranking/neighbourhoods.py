@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from epiprior.kernels.compilation import compiled
+from epiprior.presets import DEFAULT, PreprocessSettings
 from epiprior.types import FloatArray, IntArray
 
 NEAREST, WITHIN, SAME_CLUSTER = 1, 2, 4
@@ -51,14 +52,7 @@ def _order_ties(distance, index):  # type: ignore[no-untyped-def]
 
 
 def neighbourhoods(
-    xy: FloatArray,
-    scale: FloatArray,
-    label: IntArray,
-    *,
-    nearest: int = 5,
-    within: float = 5.0,
-    nearest_of_cluster: int = 1,
-    max_within: int = 40,
+    xy: FloatArray, scale: FloatArray, label: IntArray, settings: PreprocessSettings = DEFAULT
 ) -> Neighbourhoods:
     """Find the neighbours of every feature by the paper's three methods; `scale` is sigma, in the unit of `xy`.
 
@@ -69,13 +63,12 @@ def neighbourhoods(
     if n < 2:
         return Neighbourhoods(np.zeros(n + 1, np.int64), np.empty(0, np.int64), np.empty(0, np.uint8))
     # Some of the nearest may lie at the very same place and do not count: a 2keypoint has a length.
+    nearest, max_within = settings.nearest, settings.max_within
     distance, index = nearest_points(xy, xy, max(nearest, max_within) + 4)
     members = np.argsort(label, kind="stable")
     cluster_start = np.searchsorted(label[members], np.arange(label.max() + 2))
-    clusters = (label, members, cluster_start)
-    return Neighbourhoods(
-        *_collect(index, distance, xy, scale, *clusters, nearest, within, max_within, nearest_of_cluster)
-    )
+    limits = (nearest, settings.within, max_within, settings.nearest_of_cluster)
+    return Neighbourhoods(*_collect(index, distance, xy, scale, label, members, cluster_start, *limits))
 
 
 @compiled

@@ -25,9 +25,13 @@ class Union:
     def __len__(self) -> int:
         return len(self.location1)
 
-    def ratios(self, table: StandardTable) -> FloatArray:
-        """Return d_r of each match; 1 where it is missing."""
-        return lookup(table.distance_ratio, self.in_standard, 1.0)
+    def of_x(self, values: FloatArray) -> FloatArray:
+        """Return for each match the value of its row of X; 0 outside X."""
+        return _lookup(values, self.in_x, 0.0)
+
+    def of_standard(self, values: FloatArray, missing: float) -> FloatArray:
+        """Return for each match the value of its row of the standard table; `missing` where it has none."""
+        return _lookup(values, self.in_standard, missing)
 
 
 def unite(X: PutativeMatches, table: StandardTable) -> Union:
@@ -42,8 +46,7 @@ def unite(X: PutativeMatches, table: StandardTable) -> Union:
     return Union(keys // width, keys % width, in_x, in_standard)
 
 
-def lookup(values: FloatArray, rows: IntArray, missing: float) -> FloatArray:
-    """Return ``values[rows]``, and `missing` where the row is -1."""
+def _lookup(values: FloatArray, rows: IntArray, missing: float) -> FloatArray:
     out = np.full(len(rows), missing)
     out[rows >= 0] = values[rows[rows >= 0]]
     return out
@@ -125,20 +128,18 @@ def match_table(
     0. A match that is not in `table` gets d_r = 1 and t_k = 0. `around`, shape (M, 4), is from `coherence`, `pair` from
     `pair_columns`, the same for every match.
     """
-    votes = lookup(sfm.astype(np.float64), union.in_x, 0.0)
-    share = lookup(weighted, union.in_x, 0.0)
+    votes, share = union.of_x(sfm.astype(np.float64)), union.of_x(weighted)
     rivals = np.bincount(union.location1)[union.location1] + np.bincount(union.location2)[union.location2] - 2
     rival = np.maximum(best_rival(share, union.location1), best_rival(share, union.location2))
     columns = [
         votes,
-        union.ratios(table),
-        lookup(table.similarity_weight, union.in_standard, 0.0),
-        lookup(table.mutual.astype(np.float64), union.in_standard, 0.0),
-        lookup(table.distance_ratio_backward, union.in_standard, 1.0),
+        union.of_standard(table.distance_ratio, 1.0),
+        union.of_standard(table.similarity_weight, 0.0),
+        union.of_standard(table.mutual.astype(np.float64), 0.0),
+        union.of_standard(table.distance_ratio_backward, 1.0),
         frames.similarity,
         frames.fixed_similarity,
-        lookup(two_keypoint[0], union.in_x, 0.0),
-        lookup(two_keypoint[1], union.in_x, 0.0),
+        *(union.of_x(scores) for scores in two_keypoint),
         votes / max(float(votes.max(initial=0)), 1.0),
         share / max(float(share.max(initial=0)), 1e-12),
         share / np.maximum(share + rival, 1e-12),

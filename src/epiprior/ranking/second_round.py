@@ -11,15 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from epiprior.geometry import as_columns, centred_columns, sampson_distance
+from epiprior.geometry import Evidence, as_columns, different_models, sampson_distance
 from epiprior.kernels.local_steps import refine_models
 from epiprior.kernels.one_to_one import one_to_one_mask
-from epiprior.kernels.scores import score_models
 from epiprior.presets import SECOND_ROUND_COLUMNS
 from epiprior.ranking.coherence import coherence
 from epiprior.ranking.frames import MatchFrames
 from epiprior.ranking.probabilities import MatchTable, Union, best_rival
-from epiprior.types import BoolArray, FloatArray, IntArray
+from epiprior.types import FloatArray, IntArray
 
 _HEAD = 800  # one-to-one matches that choose and refine F
 _REFINED = 40  # so many of the rough matrices are refined
@@ -40,11 +39,9 @@ def second_round_table(
 ) -> MatchTable:
     """Describe matches for the second round: kpmd and what the first probabilities tell, `SECOND_ROUND_COLUMNS`.
 
-    Parameters
-    ----------
-    rows : (N,) int64. The matches to describe, as `second_round_rows` returns them.
-    union, frames, table, probability : All M matches, their frames in working pixels, kpmd and first probabilities.
-    matrices : (P, 3, 3) float64. The rough fundamental matrices, working pixels.
+    `rows`, (N,), are the matches to describe, as `second_round_rows` returns them; `union`, `frames`, `table` and
+    `probability` all matches, their frames, kpmd and first probabilities; `matrices`, (P, 3, 3), the rough F, working
+    pixels.
     """
     p, own = probability[rows], frames.take(rows)
     location1, location2 = union.location1[rows], union.location2[rows]
@@ -54,11 +51,11 @@ def second_round_table(
     single = rows[one_to_one_mask(location1, location2)]
     x1, x2, weights = frames.x1[single], frames.x2[single], probability[single]
     models = _leading_models(matrices, x1[:_HEAD], x2[:_HEAD], weights[:_HEAD])
-    evidence = _scores(models, x1, x2, weights, _FINE_PX)
+    evidence = Evidence(x1, x2, weights).scores(models, _FINE_PX)
     order = np.argsort(-evidence, kind="stable")
     models, evidence = models[order], evidence[order]
     distance = np.array([sampson_distance(F, own.x1, own.x2) for F in models]).reshape(len(models), len(rows))
-    leaders = _different(distance < _FINE_PX)
+    leaders = different_models(enumerate(distance < _FINE_PX), _KEPT, _SAME_SHARE)
     near = np.full((_KEPT, len(rows)), _FAR_PX)
     near[: len(leaders)] = np.minimum(distance[leaders], _FAR_PX)
     # What each F is worth without the match itself, which would otherwise confirm it.
@@ -67,12 +64,8 @@ def second_round_table(
     best = max(float(evidence.max(initial=0.0)), 1e-12)
     second = float(evidence[leaders[1]]) if len(leaders) > 1 else 0.0
     total = float(weights.sum())
-    pair = (
-        np.log1p(total),
-        float(weights[:_TOP].mean()) if len(single) else 0.0,
-        best / max(total, 1e-12),
-        second / best,
-    )
+    mean = float(weights[:_TOP].mean()) if len(single) else 0.0
+    pair = (np.log1p(total), mean, best / max(total, 1e-12), second / best)
     columns = [
         p,
         np.log1p(np.arange(len(rows))),
@@ -89,33 +82,10 @@ def second_round_table(
     return MatchTable(SECOND_ROUND_COLUMNS, np.hstack([table.descriptors[rows], added]))
 
 
-def _scores(models: FloatArray, x1: FloatArray, x2: FloatArray, weights: FloatArray, threshold_px: float) -> FloatArray:
-    """Return for each model the sum of the weights, each lowered by the match's squared distance: (K,), >= 0."""
-    found = np.zeros(len(models), np.float32)
-    if len(models) and len(x1):
-        centre1, centre2 = x1.mean(axis=0), x2.mean(axis=0)
-        columns = as_columns(x1 - centre1, x2 - centre2).astype(np.float32)
-        centred = centred_columns(models, centre1, centre2)
-        alone = np.arange(len(x1))
-        score_models(centred, columns, weights.astype(np.float32), alone, np.float32(threshold_px**2), found)
-    return np.nan_to_num(found.astype(np.float64), nan=0.0)
-
-
 def _leading_models(matrices: FloatArray, x1: FloatArray, x2: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the rough matrices with the highest sums of probabilities, refined on these matches, best first."""
-    scores = _scores(matrices, x1, x2, weights, _COARSE_PX)
+    scores = Evidence(x1, x2, weights).scores(matrices, _COARSE_PX)
     order = np.argsort(-scores, kind="stable")[:_REFINED]
     models = np.ascontiguousarray(matrices[order[scores[order] > 0]])
     refine_models(models, as_columns(x1, x2), weights, _SHRINKING_PX)
     return models
-
-
-def _different(supporters: BoolArray) -> list[int]:
-    """Return the first few of the models, (K, N) by supporters, no two of which have about the same ones."""
-    kept: list[int] = []
-    for k, mine in enumerate(supporters):
-        if len(kept) == _KEPT:
-            break
-        if all(np.sum(mine & supporters[j]) < _SAME_SHARE * np.sum(mine | supporters[j]) for j in kept):
-            kept.append(k)
-    return kept

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from epiprior.geometry import as_columns, centred_columns
+from epiprior.geometry import as_columns, centred_columns, with_three_around
 from epiprior.kernels.compilation import compiled
 from epiprior.kernels.parallel import in_chunks
 from epiprior.kernels.sampson import residual
@@ -35,15 +35,8 @@ def frame_points(
         size = np.sqrt(s1 * s2)
         ratio = np.sqrt(length2 / length1)[:, None]
         s1, s2 = size / ratio, size * ratio
-    return _around(frames.x1[rows], s1 * radius, a1), _around(frames.x2[rows], s2 * radius, a2)
-
-
-def _around(x: FloatArray, reach: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return each point (K, 2, 2) and three around it, as (K, 8, 2)."""
-    turns = angle[:, :, None] + 2 * np.pi * np.arange(3) / 3
-    offsets = reach[:, :, None, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    points = np.concatenate([x[:, :, None], x[:, :, None] + offsets], axis=2)
-    return points.reshape(len(x), 8, 2)
+    y1, y2 = with_three_around(frames.x1[rows], s1 * radius, a1), with_three_around(frames.x2[rows], s2 * radius, a2)
+    return y1.reshape(-1, 8, 2), y2.reshape(-1, 8, 2)
 
 
 def rough_fundamental_matrices(y1: FloatArray, y2: FloatArray) -> FloatArray:

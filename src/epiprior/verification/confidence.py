@@ -28,7 +28,7 @@ CONFIDENCE_TARGETS = {
 MODEL = "confidence"
 _OVERLAY_SHARE = 0.2
 _FLAT = 0.3  # where a homography is likelier than a right F; on unrelated pairs its probability is below 0.02
-_MESSAGES = {
+MESSAGES = {  # why a homography leaves F undecided
     Geometry.PLANAR: "one plane: F is not determined",
     Geometry.ROTATION: "the camera only turned or zoomed: F is not determined",
     Geometry.IDENTICAL: "copies of one picture, or nothing moved: F is not determined",
@@ -71,18 +71,13 @@ def judge(facts: Facts, kind: Geometry | None, model: ConfidenceModel, min_confi
     right, flat = model.probabilities(facts)
     least = model.min_confidence if min_confidence is None else min_confidence
     if kind is not None and flat >= _FLAT and flat > right:
-        return Verdict(status=Status.DEGENERATE, geometry=kind, confidence=right, message=_MESSAGES[kind])
+        return Verdict(status=Status.DEGENERATE, geometry=kind, confidence=right, message=MESSAGES[kind])
     if right >= least:
         return Verdict(status=Status.OK, geometry=Geometry.GENERAL, confidence=right)
     if facts.apart < _OVERLAY_SHARE:
         return Verdict(status=Status.DEGENERATE, geometry=Geometry.NONE, confidence=right, message=_OVERLAY)
     doubt = f"{_NO_MORE}: confidence {right:.2f}, at least {least:.2f} is asked for"
     return Verdict(status=Status.NO_MODEL, geometry=Geometry.NONE, confidence=right, message=doubt)
-
-
-def message_of(kind: Geometry) -> str:
-    """Return why a homography of a kind leaves F undecided."""
-    return _MESSAGES[kind]
 
 
 def check_min_confidence(value: object) -> None:

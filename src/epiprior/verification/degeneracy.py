@@ -162,7 +162,9 @@ def _near_line(x: FloatArray, support: FloatArray, threshold_px: float) -> BoolA
     near = np.ones(len(support), np.bool_)
     for _ in range(5):
         centre = support[near].mean(axis=0)
-        across = _smallest_spread(u[near] - centre[0], v[near] - centre[1])
+        a, b = u[near] - centre[0], v[near] - centre[1]
+        angle = 0.5 * math.atan2(-2.0 * float(a @ b), float(b @ b) - float(a @ a))
+        across = math.cos(angle), math.sin(angle)  # where they vary least: an eigenvector in closed form
         distance = np.abs((u - centre[0]) * across[0] + (v - centre[1]) * across[1])
         # np.median, without what makes it slow on a few hundred numbers.
         median = float(np.partition(distance, middle)[list(middle)].mean())
@@ -170,12 +172,6 @@ def _near_line(x: FloatArray, support: FloatArray, threshold_px: float) -> BoolA
         if np.array_equal(before, near):
             break
     return np.asarray(np.abs((x[:, 0] - centre[0]) * across[0] + (x[:, 1] - centre[1]) * across[1]) < threshold_px)
-
-
-def _smallest_spread(u: FloatArray, v: FloatArray) -> tuple[float, float]:
-    """Return the direction, of length one, along which centred points vary least: an eigenvector in closed form."""
-    angle = 0.5 * math.atan2(-2.0 * float(u @ v), float(v @ v) - float(u @ u))
-    return math.cos(angle), math.sin(angle)
 
 
 def similarity_residuals(x1: FloatArray, x2: FloatArray) -> FloatArray:

@@ -100,7 +100,8 @@ def describe_estimate(
     of the supporters (`degeneracy.fit_homography`), `others` are the F of the other roll hypotheses.
     """
     x1, x2 = collected.x1, collected.x2
-    inliers = sampson_distance(F, x1, x2) < threshold_px
+    distance = sampson_distance(F, x1, x2)
+    inliers, wide = distance < threshold_px, distance < 3 * threshold_px
     first = sampson_distance(F, handed.x1, handed.x2) < threshold_px
     own = collected.take(inliers)
     total, support = distinct_count(x1, x2), distinct_count(own.x1, own.x2)
@@ -124,7 +125,7 @@ def describe_estimate(
         extent=math.log1p(min(a for a, _ in extents)),
         extent_share=min(a / max(b, 1.0) for a, b in extents),
         residual=_median(sampson_distance(F, own.x1, own.x2)) / threshold_px,
-        crowding=support / max(distinct_count(*_within(F, x1, x2, 3 * threshold_px)), 1),
+        crowding=support / max(distinct_count(x1[wide], x2[wide]), 1),
         oriented=_oriented_share(F, own.x1, own.x2),
         neighbours=min(_share_near(x, inliers) for x in (x1, x2)),
         **_local_agreement(own),
@@ -151,11 +152,6 @@ def _median(values: FloatArray) -> float:
 
 def _side(x: FloatArray) -> float:
     return float(np.sqrt(np.prod(np.ptp(x, axis=0)))) if len(x) else 0.0
-
-
-def _within(F: FloatArray, x1: FloatArray, x2: FloatArray, px: float) -> tuple[FloatArray, FloatArray]:
-    near = sampson_distance(F, x1, x2) < px
-    return x1[near], x2[near]
 
 
 def _oriented_share(F: FloatArray, x1: FloatArray, x2: FloatArray) -> float:

@@ -44,8 +44,8 @@ def propose(
     """Run the method up to the probabilities of the matches of 2keypoints (sections 4.1 to 4.4)."""
     prepared = prepare_pair(*images, settings, features1=features[0], features2=features[1])
     candidates = tuple(find_candidates(prepared, roll, settings) for roll in roll_hypotheses(prepared, settings))
-    columns = model.two_keypoint_columns
-    probabilities = tuple(model.predict_two_keypoint(one.two_keypoints.select(columns)) for one in candidates)
+    columns = model.two_keypoint.columns
+    probabilities = tuple(model.two_keypoint(one.two_keypoints.select(columns)) for one in candidates)
     return Proposals(prepared, candidates, probabilities, settings, model)
 
 

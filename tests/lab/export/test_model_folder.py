@@ -45,8 +45,8 @@ def test_the_library_loads_the_folder_and_its_manifest_and_card(training, tmp_pa
     export_model(training, folder, "paper")
     model = load_model(folder)
     assert model.name == "some"
-    assert model.two_keypoint_columns == PAPER.two_keypoint_columns
-    assert model.match_columns == PAPER.match_columns
+    assert model.two_keypoint.columns == PAPER.two_keypoint_columns
+    assert model.match.columns == PAPER.match_columns
     assert (model.match.a, model.match.b) == (0.5, 1.5)
     manifest = model.manifest
     assert (manifest["preset"], manifest["training_data"]) == ("paper", TRAINING_DATA)
