@@ -28,7 +28,6 @@ _FLAGS = (
 
 
 def find_browser():
-    """Return the path of a Chromium, or None."""
     return next((path for path in map(shutil.which, NAMES) if path), None) if os.name == "posix" else None
 
 
@@ -78,7 +77,6 @@ class Browser:
             self._process.wait()
 
     def send(self, method: str, **params):
-        """Call a method of the protocol and return its result."""
         number = self._post(method, **params)
         while True:
             answer = self._next()
@@ -126,14 +124,12 @@ class Browser:
         self.wait(ready)
 
     def run(self, expression: str):
-        """Return the value of a JavaScript expression."""
         answer = self.send("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in answer:
             raise PageError(answer["exceptionDetails"]["exception"]["description"])
         return answer["result"].get("value")
 
     def wait(self, expression: str, seconds: float = 15) -> None:
-        """Wait until a JavaScript expression is true."""
         end = time.monotonic() + seconds
         while not self.run(expression):
             if time.monotonic() > end:
@@ -147,7 +143,6 @@ class Browser:
         self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def mouse(self, kind: str, x: float, y: float, **params) -> None:
-        """Send one event of the mouse, at CSS pixels of the window."""
         self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, **params)
 
     def move(self, x: float, y: float) -> None:
@@ -157,7 +152,6 @@ class Browser:
         self.drag((x, y), (x, y))
 
     def drag(self, start, end, button: str = "left") -> None:
-        """Press at one place and release at another."""
         self.move(*start)
         self.mouse("mousePressed", *start, button=button, clickCount=1)
         if start != end:
@@ -173,12 +167,10 @@ class Browser:
         self.settle()
 
     def press(self, selector: str) -> None:
-        """Click in the middle of an element."""
         box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
         self.click(*self.run(f"(box => [box.x + box.width / 2, box.y + box.height / 2])({box})"))
 
     def key(self, key: str, *modifiers: str) -> None:
-        """Press a key, with Ctrl, Shift or Alt."""
         held = sum(_MODIFIERS[name] for name in modifiers)
         for kind in ("rawKeyDown", "keyUp"):
             self.send("Input.dispatchKeyEvent", type=kind, key=key, modifiers=held)

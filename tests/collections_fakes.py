@@ -1,7 +1,8 @@
 """Small collections for tests, and a stand-in for the estimation of a pair."""
 
+import sqlite3
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,6 @@ MATCHES = 60
 
 
 def small_images(folder: Path, names=("a.png", "b.png", "c.png")) -> list[Path]:
-    """Write small pictures with some hundred features each."""
     for number, name in enumerate(names):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         save(folder / name, texture(200, 150, number))
@@ -40,6 +40,13 @@ def views(folder, count=5):
                 view[y : y + 110, left:right] = picture[: 300 - y, left - x + k * shift : right - x + k * shift]
         save(folder / f"{k}.png", view)
     return folder
+
+
+def rows_of(path, *tables):
+    """Return the sorted rows of tables of a database by their names; of all tables where none is named."""
+    with closing(sqlite3.connect(path)) as opened:
+        every = opened.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        return {name: sorted(opened.execute(f"SELECT * FROM {name}")) for name in tables or [row[0] for row in every]}
 
 
 class FakeEstimation:

@@ -25,9 +25,15 @@ def run_python(code, **environment):
 
 
 def one_line(result):
-    """The only line on stderr."""
     (line,) = result.stderr.splitlines()
     return line
+
+
+def refused(*arguments):
+    """Return the only line on stderr of a command that ends with exit code 2."""
+    result = run_command(*arguments)
+    assert result.exit_code == 2
+    return one_line(result)
 
 
 class FakeLibrary:
@@ -56,5 +62,4 @@ class FakeLibrary:
         return function
 
     def options(self, name="estimate_fundamental"):
-        """The options of the last call of a function."""
         return next(options for called, options in reversed(self.calls) if called == name)

@@ -10,18 +10,12 @@ def signed(features):
 
 def hloc_parts(features, dtype=np.float32):
     """Return what hloc keeps of the features of an image."""
-    return {
-        "keypoints": features.xy.astype(dtype),
-        "scales": features.scale.astype(dtype),
-        "oris": signed(features),
-        "descriptors": features.descriptors.T.astype(dtype),
-        "image_size": np.array(features.image_size),
-        "scores": np.zeros(len(features), dtype),
-    }
+    parts = {"keypoints": features.xy, "scales": features.scale, "descriptors": features.descriptors.T}
+    parts = {name: part.astype(dtype) for name, part in (parts | {"scores": np.zeros(len(features))}).items()}
+    return parts | {"oris": signed(features), "image_size": np.array(features.image_size)}
 
 
 def write_h5(path, images):
-    """Write parts by the names of images."""
     import h5py
 
     with h5py.File(path, "w") as file:

@@ -88,14 +88,12 @@ def eight_point(x1, x2, weights=None):
 
 
 def sampson(F, a, b):
-    """Sampson distance of one match, pixels."""
     a, b = np.append(a, 1), np.append(b, 1)
     l2, l1 = F @ a, F.T @ b
     return abs(b @ l2) / np.sqrt(l2[0] ** 2 + l2[1] ** 2 + l1[0] ** 2 + l1[1] ** 2)
 
 
 def votes(F, x1, x2, threshold):
-    """Return how many matrices each match supports."""
     return [sum(sampson(f, a, b) < threshold for f in F) for a, b in zip(x1, x2, strict=True)]
 
 

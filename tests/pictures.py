@@ -32,7 +32,6 @@ def relief_pair(width: int = 480, height: int = 360, seed: int = 0) -> tuple[NDA
 
 
 def save(path: Path, picture: NDArray[np.uint8]) -> Path:
-    """Write a grey or RGB picture and return its path."""
     assert cv2.imwrite(str(path), picture if picture.ndim == 2 else picture[:, :, ::-1])
     return path
 

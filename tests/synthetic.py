@@ -1,20 +1,15 @@
 """Synthetic matches of two cameras with known F, for tests of everything after the matching."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from epiprior.estimators import EstimatorSettings
 from epiprior.estimators.handover import HandOver
 from epiprior.estimators.run import estimate_from_matches
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior.matching.putative import PutativeMatches
 from epiprior.ranking.frames import MatchFrames
-from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, IntArray, MatchSet, Status
-
-Scene = Literal["relief", "plane", "plane+", "rotation", "line"]
+from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, MatchSet, Status
 
 WIDTH, HEIGHT, FOCAL = 1024, 768, 900.0
 K = np.array([[FOCAL, 0.0, WIDTH / 2], [0.0, FOCAL, HEIGHT / 2], [0.0, 0.0, 1.0]])
@@ -35,25 +30,23 @@ class SyntheticPair:
         return np.inf if F is None else float(sampson_distance(F, self.control1, self.control2).mean())
 
 
-def rotation(axis: tuple[float, float, float], degrees: float) -> FloatArray:
+def rotation(axis, degrees):
     a = np.asarray(axis) / np.linalg.norm(axis)
     S = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
     t = np.deg2rad(degrees)
-    R: FloatArray = np.eye(3) + np.sin(t) * S + (1 - np.cos(t)) * S @ S
-    return R
+    return np.eye(3) + np.sin(t) * S + (1 - np.cos(t)) * S @ S
 
 
-def skew(v: FloatArray) -> FloatArray:
+def skew(v):
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-def project(X: FloatArray, R: FloatArray, t: FloatArray) -> FloatArray:
+def project(X, R, t):
     Y = (X @ R.T + t) @ K.T
-    x: FloatArray = Y[:, :2] / Y[:, 2:]
-    return x
+    return Y[:, :2] / Y[:, 2:]
 
 
-def scene_points(scene: Scene, n: int, rng: np.random.Generator, off_plane: int) -> FloatArray:
+def scene_points(scene, n, rng, off_plane):
     """World points 8 to 12 units before both cameras."""
     X = rng.uniform([-4, -3, -2], [4, 3, 2], (n, 3))
     if scene in ("plane", "plane+"):
@@ -66,35 +59,26 @@ def scene_points(scene: Scene, n: int, rng: np.random.Generator, off_plane: int)
     return X
 
 
-def make_matches(x1: FloatArray, x2: FloatArray, probability: FloatArray | None = None, **columns: object) -> MatchSet:
+def make_matches(x1, x2, probability=None, **columns):
     """A MatchSet in the given order; every match has its own two features unless told otherwise."""
     n = len(x1)
     zeros = np.zeros(n)
-    values: dict[str, object] = dict.fromkeys(("scale1", "scale2"), np.full(n, 3.0))
+    values = dict.fromkeys(("scale1", "scale2"), np.full(n, 3.0))
     values |= dict.fromkeys(("orientation1_deg", "orientation2_deg"), zeros)
     values |= dict.fromkeys(("feature1", "feature2"), np.arange(n))
     values |= dict.fromkeys(("similarity_weight", "two_keypoint_probability"), zeros)
     values |= {"similarity": np.full(n, 0.9), "distance_ratio": np.linspace(0.5, 0.9, n)}
     values["supporting_matrices"] = np.zeros(n, np.int64)
     values["probability"] = np.full(n, np.nan) if probability is None else probability
-    return MatchSet(x1=np.asarray(x1, float), x2=np.asarray(x2, float), **(values | columns))  # type: ignore[arg-type]
+    return MatchSet(x1=np.asarray(x1, float), x2=np.asarray(x2, float), **(values | columns))
 
 
-def make_pair(
-    *,
-    scene: Scene = "relief",
-    inliers: int = 200,
-    outliers: int = 100,
-    noise_px: float = 0.5,
-    order: float = 3.0,
-    off_plane: int = 30,
-    seed: int = 0,
-) -> SyntheticPair:
+def make_pair(*, scene="relief", inliers=200, outliers=100, noise_px=0.5, order=3.0, off_plane=30, seed=0):
     """Make matches of a scene, sorted by a probability that knows the truth to a degree.
 
     `order` is the distance, in standard deviations, of the log odds of right and wrong matches: 0 is a random
-    order, 3 a good one. For ``rotation`` the second camera only turns; ``plane+`` puts `off_plane` of the
-    inliers before the plane.
+    order, 3 a good one. `scene` is relief, plane, line, ``rotation``, of which the second camera only turns, or
+    ``plane+``, which puts `off_plane` of the inliers before the plane.
     """
     rng = np.random.default_rng(seed)
     R = rotation((0.1, 1.0, 0.05), 12.0)
@@ -123,14 +107,12 @@ def make_pair(
     return SyntheticPair(matches, right[walk], F, project(control, np.eye(3), np.zeros(3)), project(control, R, t))
 
 
-def run(
-    name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None
-) -> FundamentalEstimate:
+def run(name, matches, *, seed=0, settings=None):
     """Run an estimator on all of the matches as they are."""
     return estimate_from_matches([matches], estimator=name, seed=seed, hand_over=HandOver(), settings=settings)
 
 
-def random_scene(seed: int, n: int = 60, clusters: int = 8) -> tuple[FloatArray, FloatArray, IntArray]:
+def random_scene(seed, n=60, clusters=8):
     """Locations, scales and clusters of the features of an image; two of them are twins."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(0, 100, (n, 2))
@@ -138,45 +120,44 @@ def random_scene(seed: int, n: int = 60, clusters: int = 8) -> tuple[FloatArray,
     return xy, rng.uniform(0.8, 4, n), rng.integers(0, clusters, n)
 
 
-def make_estimate(pair: SyntheticPair, status: Status = Status.OK, **changes: object) -> FundamentalEstimate:
+def make_estimate(pair, status=Status.OK, **changes):
     """The estimate that knows the truth of a pair, or one without F."""
     x1, x2, F = pair.matches.x1, pair.matches.x2, pair.F
     if status is not Status.OK:
         F, changes = None, {"inliers": np.zeros(len(x1), bool), "support": 0} | changes
     known = {"status": status, "F": F, "x1": x1, "x2": x2, "inliers": pair.right, "support": int(pair.right.sum())}
     about = {"estimator": "usac", "version": "opencv 5", "input": "default"}
-    return FundamentalEstimate(**(known | about | changes))  # type: ignore[arg-type]
+    return FundamentalEstimate(**(known | about | changes))
 
 
-def make_frames(x1: FloatArray, x2: FloatArray, **columns: object) -> MatchFrames:
+def make_frames(x1, x2, **columns):
     """The frames of matches; what is not given is 1, an angle 0."""
     one = np.ones(len(x1))
-    values: dict[str, object] = dict.fromkeys(("scale1", "scale2", "similarity", "fixed_similarity"), one)
+    values = dict.fromkeys(("scale1", "scale2", "similarity", "fixed_similarity"), one)
     values |= {"orientation1_rad": 0 * one, "orientation2_rad": 0 * one, "roll_rad": 0.0}
-    return MatchFrames(x1=np.asarray(x1, float), x2=np.asarray(x2, float), **(values | columns))  # type: ignore[arg-type]
+    return MatchFrames(x1=np.asarray(x1, float), x2=np.asarray(x2, float), **(values | columns))
 
 
-def make_putative(pairs: Iterable[tuple[int, int]], n1: int, n2: int) -> PutativeMatches:
-    """Putative matches of pairs of features."""
+def make_putative(pairs, n1, n2):
     first, second = np.array(sorted(pairs), np.int64).reshape(-1, 2).T.copy()
     counts = np.bincount(first, minlength=n1)
     return PutativeMatches(first, second, np.append(0, np.cumsum(counts)), counts, np.bincount(second, minlength=n2))
 
 
-def unit_rows(rng: np.random.Generator, n: int, d: int) -> FloatArray:
+def unit_rows(rng, n, d):
     """Random descriptors of length 1, float32 (n, d)."""
     x = rng.normal(size=(n, d)).astype(np.float32)
     return x / np.linalg.norm(x, axis=1, keepdims=True)
 
 
-def on_epipolar_lines(F: FloatArray, x1: FloatArray, seed: int = 0) -> FloatArray:
+def on_epipolar_lines(F, x1, seed=0):
     """Points of image 2 anywhere on the epipolar lines of points of image 1."""
     line = np.column_stack([x1, np.ones(len(x1))]) @ F.T
     u = np.random.default_rng(seed).uniform(0, WIDTH, len(x1))
     return np.column_stack([u, -(line[:, 0] * u + line[:, 2]) / line[:, 1]])
 
 
-def same_matrix(A: FloatArray, B: FloatArray, tolerance: float = 1e-7) -> bool:
+def same_matrix(A, B, tolerance=1e-7):
     """Whether two matrices are one but for factor and sign."""
     A, B = A / np.linalg.norm(A), B / np.linalg.norm(B)
     return bool(min(np.abs(A - B).max(), np.abs(A + B).max()) < tolerance)

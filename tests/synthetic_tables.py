@@ -77,13 +77,9 @@ def _pair(rng, key, inputs, difficulty, *, cameras=True, apart=False):
         for ranking in RANKINGS if ranked else ("final",):
             quality = QUALITY[ranking] if ranked else EASE[name]
             right = np.cumsum(rng.random(10_000) < quality / (1 + np.arange(10_000) / 800))
-            counts = {
-                "features1": 2048 if name == "aliked" else 2000,
-                "features2": 2048 if name == "aliked" else 1800,
-                "matches": 10_000,
-                "right": int(right[-1]),
-                "right_at": tuple(int(right[rank - 1]) for rank in RANKS),
-            }
+            features = (2048, 2048) if name == "aliked" else (2000, 1800)
+            counts = dict(zip(("features1", "features2"), features, strict=True)) | {"matches": 10_000}
+            counts |= {"right": int(right[-1]), "right_at": tuple(int(right[rank - 1]) for rank in RANKS)}
             precision = float(quality * rng.random())
             yield RankingRecord(**key, input=name, ranking=ranking, average_precision=precision, **counts)
         if ranked:
@@ -133,11 +129,8 @@ def timing_table(tables, *, pairs_per_group=2, seed=0):
         about = {column: getattr(run, column) for column in kept}
         for name in (run.input, "cascade") if run.input in ("standard", "generalized") else (run.input,):
             again = name == "cascade" and run.error_px > 10
-            parts = {
-                "features": 0.5,
-                "matching": 0.1 + 0.6 * (ranked or again),
-                "estimator": float(rng.uniform(0.05, 0.5)),
-            }
+            parts = {"features": 0.5, "matching": 0.1 + 0.6 * (ranked or again)}
+            parts["estimator"] = float(rng.uniform(0.05, 0.5))
             seconds = {f"seconds_{part}": value for part, value in (parts | {"total": sum(parts.values())}).items()}
             records.append(TimingRecord(**about, **seconds, input=name, preprocessed=ranked or again))
     return to_frame(TimingRecord, records)

@@ -11,9 +11,9 @@ from epiprior.errors import SettingsError
 from epiprior.explain import explain_match
 from epiprior.geometry import sampson_distance
 from epiprior.presets import DEFAULT, SECOND_ROUND_COLUMNS
-from epiprior.ranking.models import Classifier, load_model
+from epiprior.ranking.models import Classifier
 from pictures import relief_pair, rotated
-from tiny_model import MATCH_WEIGHTS, logistic, make_model
+from tiny_model import MATCH_WEIGHTS, logistic
 
 LEFT, RIGHT = relief_pair(300, 220)
 SETTINGS = replace(DEFAULT, second_round=150)
@@ -21,11 +21,10 @@ AGAIN_WEIGHTS = {"probability": 3.0, "rank": -0.2}
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory):
+def model(model):
     """Two classifiers made by hand, and a third one for the second round."""
     session = onnxruntime.InferenceSession(logistic(SECOND_ROUND_COLUMNS, AGAIN_WEIGHTS, 5.0))
-    plain = load_model(make_model(tmp_path_factory.mktemp("models") / "default"))
-    return replace(plain, second_round=Classifier(session, SECOND_ROUND_COLUMNS, 1.0, 0.0))
+    return replace(model, second_round=Classifier(session, SECOND_ROUND_COLUMNS, 1.0, 0.0))
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +87,7 @@ def test_the_probability_with_another_value_is_the_classifiers(explained, number
     assert len(change) == len(judged.columns)
 
 
-def test_what_holds_a_match(ranked, explained, explain):
+def test_what_holds_a_match_and_that_the_best_matrix_is_the_one_found_slowly(ranked, explained, explain):
     e = explained[0]
     assert len(set(e.partners)) == len(e.partners) > 0
     assert (np.diff(e.partner_probability) <= 0).all()
@@ -96,9 +95,6 @@ def test_what_holds_a_match(ranked, explained, explain):
     back = explain(LEFT, RIGHT, int(e.partners[0]))
     assert 0 in back.partners
     assert back.partner_probability[list(back.partners).index(0)] == e.partner_probability[0]
-
-
-def test_the_best_matrix_is_the_one_found_slowly(ranked, explained):
     alone = ranked.one_to_one()
     for e in explained[:3]:
         own = ranked.take(slice(e.row, e.row + 1))
@@ -117,7 +113,7 @@ def test_the_best_matrix_is_the_one_found_slowly(ranked, explained):
         assert sampson_distance(e.best.F, ranked.x1[made], ranked.x2[made]).max() < 3
 
 
-def test_rows_of_a_second_roll_hypothesis_follow_those_of_the_first(model, explain):
+def test_rows_of_a_second_roll_hypothesis_follow_those_of_the_first_and_other_numbers_are_refused(model, explain):
     turned, _ = rotated(RIGHT, 37.0)
     sets = epiprior.rank_matches(LEFT, turned, model=model, settings=SETTINGS).sets
     found = explain(LEFT, turned, len(sets[0]) + 3)
@@ -126,8 +122,5 @@ def test_rows_of_a_second_roll_hypothesis_follow_those_of_the_first(model, expla
     total = sum(map(len, sets))
     with pytest.raises(SettingsError, match=f"match is {total}, but there are {total} matches"):
         explain(LEFT, turned, total)
-
-
-def test_a_negative_number_is_refused_before_any_work():
     with pytest.raises(SettingsError, match="match is -1"):
         explain_match("nothing.jpg", "nothing.jpg", -1)

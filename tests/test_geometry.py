@@ -54,7 +54,7 @@ def rough_start(pair, seed: int):
     return eight_point(x1 + rng.normal(0, 8.0, x1.shape), x2 + rng.normal(0, 8.0, x2.shape))
 
 
-def test_a_rough_start_is_mended_and_nearly_as_good_as_a_fit_to_the_right_matches():
+def test_a_rough_start_is_mended_nearly_as_well_as_by_the_right_matches_and_weights_decide_between_two_motions():
     errors = []
     for seed in range(6):
         pair = make_pair(inliers=60, outliers=200, seed=seed)
@@ -66,6 +66,14 @@ def test_a_rough_start_is_mended_and_nearly_as_good_as_a_fit_to_the_right_matche
     assert start.min() > 1.0
     assert refined.max() < 0.6
     assert np.median(refined) < 1.5 * np.median(once)
+    # The same matches twice, once moved by 6 px in image 2: F follows those that are probable.
+    pair = make_pair(inliers=100, outliers=0, seed=1)
+    moves = (np.zeros(2), np.array([0.0, 6.0]))
+    x1 = np.concatenate([pair.matches.x1] * 2)
+    x2 = np.concatenate([pair.matches.x2 + move for move in moves])
+    for move, weights in zip(moves, ([1.0, 0.02], [0.02, 1.0]), strict=True):
+        F = refine_fundamental(pair.F, x1, x2, np.repeat(weights, 100))
+        assert weighted_score(F, pair.control1, pair.control2 + move, np.ones(400)) > 300
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -79,26 +87,12 @@ def test_the_score_never_falls(seed):
         assert after >= before
 
 
-def test_weights_decide_between_two_motions():
-    """The same matches twice, once moved by 6 px in image 2: F follows those that are probable."""
-    pair = make_pair(inliers=100, outliers=0, seed=1)
-    moves = (np.zeros(2), np.array([0.0, 6.0]))
-    x1 = np.concatenate([pair.matches.x1] * 2)
-    x2 = np.concatenate([pair.matches.x2 + move for move in moves])
-    for move, weights in zip(moves, ([1.0, 0.02], [0.02, 1.0]), strict=True):
-        F = refine_fundamental(pair.F, x1, x2, np.repeat(weights, 100))
-        assert weighted_score(F, pair.control1, pair.control2 + move, np.ones(400)) > 300
-
-
-def test_too_few_matches_return_the_start():
+def test_too_few_matches_return_the_start_and_perfect_ones_score_one_each():
     pair = make_pair(inliers=7, outliers=0)
     assert refine_fundamental(pair.F, pair.matches.x1, pair.matches.x2) is pair.F
     many = make_pair(inliers=50, outliers=0)
     assert refine_fundamental(many.F, many.matches.x1, many.matches.x2, np.zeros(50)) is many.F
     assert refine_fundamental(many.F, many.matches.x1, many.matches.x2, thresholds=()) is many.F
-
-
-def test_score_is_one_per_perfect_match_and_nothing_beyond_the_threshold():
     pair = make_pair(inliers=40, outliers=0, noise_px=0.0)
     weights = np.linspace(0, 1, 40)
     assert weighted_score(pair.F, pair.matches.x1, pair.matches.x2, weights) == pytest.approx(weights.sum())

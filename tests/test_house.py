@@ -35,13 +35,11 @@ LOCKS = ("requirements.lock", "requirements-lowest.lock")
 
 
 def locked(lock):
-    """Return the blocks of a lock: requirement line and its hashes."""
     blocks = re.split(r"\n(?=[a-z0-9])", (ROOT / lock).read_text(encoding="utf-8").strip(), flags=re.IGNORECASE)
     return {re.split(r"[=\[ ]", block, maxsplit=1)[0].lower(): block for block in blocks}
 
 
 def declared():
-    """Return the dependencies of the project and of its extras: name and lower bound."""
     extras = PROJECT["optional-dependencies"]
     lines = [*PROJECT["dependencies"], *(line for name in extras for line in extras[name])]
     pairs = [re.match(r"([\w.-]+)>=([\d.]+)", line) for line in lines if not line.startswith("epiprior[")]
@@ -87,7 +85,6 @@ def stage_file(stage):
 
 @functools.cache
 def has_code(file):
-    """Return whether a module holds more than its docstring."""
     return len(ast.parse(file.read_bytes()).body) > 1
 
 
@@ -136,7 +133,7 @@ def test_every_group_is_evaluated_and_reported():
         assert {dep.fs_path for dep in stages["report"].deps if own.out in dep.fs_path} == folders
 
 
-def test_stages_read_what_is_committed_or_exactly_what_others_write():
+def test_stages_read_what_is_committed_or_written_but_no_times_and_only_results_in_git_are_outside_the_cache():
     """A dependency on a part or a parent of an output could not be compared in a clone without data."""
     written = {Path(out.fs_path) for stage in resolved() for out in stage.outs}
     for stage in resolved():
@@ -145,9 +142,6 @@ def test_stages_read_what_is_committed_or_exactly_what_others_write():
             assert touched == [], f"{stage.name}: {path}"
             committed = not path.is_relative_to(ROOT / "data")
             assert committed or path.is_relative_to(ROOT / "data" / "real"), f"{stage.name}: {path}"
-
-
-def test_measured_times_feed_no_stage_and_only_results_in_git_are_outside_the_cache():
     assert not [dep.fs_path for stage in resolved() for dep in stage.deps if "timings" in Path(dep.fs_path).parts]
     # Pictures of photographs stay in data/, which git ignores.
     for stage in resolved():

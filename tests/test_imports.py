@@ -53,7 +53,7 @@ def imported_modules(path):
             yield from (name.removeprefix("epiprior.") for name in names)
 
 
-def test_each_room_imports_only_rooms_before_it_and_nothing_of_the_workspace():
+def test_each_room_imports_only_rooms_before_it_and_no_modules_in_a_circle():
     for path in sorted((SOURCE / "epiprior").rglob("*.py")):
         assert not re.search(r"(import|from) epiprior_lab", path.read_text(encoding="utf-8")), path
         room = path.relative_to(SOURCE / "epiprior").parts[0].removesuffix(".py")
@@ -63,9 +63,6 @@ def test_each_room_imports_only_rooms_before_it_and_nothing_of_the_workspace():
             other = module.split(".")[0]
             if other in ROOMS:  # else a public name, of the package itself: commands use those
                 assert ROOMS.index(other) <= ROOMS.index(room), f"{path.name} of {room} imports {module}"
-
-
-def test_no_circle_between_modules():
     files = {
         ".".join(path.relative_to(SOURCE / "epiprior").with_suffix("").parts): path
         for path in (SOURCE / "epiprior").rglob("*.py")

@@ -11,31 +11,23 @@ from epiprior.estimators.handover import HandOver
 from epiprior.presets import DEFAULT, PRESETS, find_preset
 from epiprior.verification.cascade import CascadeRule
 
+NAN = float("nan")
+
 
 @pytest.mark.parametrize(
-    ("settings", "name", "values"),
+    ("settings", "bad"),
     [
-        (DEFAULT.features, "detector", ["magic"]),
-        (DEFAULT.features, "max_image_size", [3]),
-        (DEFAULT.features, "max_keypoints", [1]),
-        (DEFAULT, "vote_threshold", [-1.0]),
-        (DEFAULT, "frame", ["nothing"]),
-        (DEFAULT, "nearest", [float("nan")]),
-        (EstimatorSettings(), "threshold_px", [0.0, float("nan")]),
-        (EstimatorSettings(), "confidence", [1.0]),
-        (EstimatorSettings(), "max_iterations", [0]),
-        (HandOver(), "top_k", [7, 300.0, True]),
-        (HandOver(), "max_distance_ratio", [0.0, float("nan")]),
-        (HandOver(), "threshold_px", [0.0, None]),
-        *((HandOver(), name, [1, "yes", None]) for name in ("one_to_one", "collect", "refine")),
-        (DrawSettings(), "max_matches", [0]),
-        (DrawSettings(), "epipolar_lines", [9]),
-        (DrawSettings(), "max_panel_size", [100]),
-        (CascadeRule(), "min_confidence", [-0.1, 1.1, float("nan"), None, True, "0.9"]),
+        (DEFAULT.features, {"detector": ["magic"], "max_image_size": [3], "max_keypoints": [1]}),
+        (DEFAULT, {"vote_threshold": [-1.0], "frame": ["nothing"], "nearest": [NAN]}),
+        (EstimatorSettings(), {"threshold_px": [0.0, NAN], "confidence": [1.0], "max_iterations": [0]}),
+        (HandOver(), {"top_k": [7, 300.0, True], "max_distance_ratio": [0.0, NAN], "threshold_px": [0.0, None]}),
+        (HandOver(), dict.fromkeys(("one_to_one", "collect", "refine"), (1, "yes", None))),
+        (DrawSettings(), {"max_matches": [0], "epipolar_lines": [9], "max_panel_size": [100]}),
+        (CascadeRule(), {"min_confidence": [-0.1, 1.1, NAN, None, True, "0.9"]}),
     ],
 )
-def test_bad_settings_are_named(settings, name, values):
-    for value in values:
+def test_bad_settings_are_named(settings, bad):
+    for name, value in ((name, value) for name, values in bad.items() for value in values):
         with pytest.raises(SettingsError, match=f"{name} is {value!r}"):
             replace(settings, **{name: value})
 

@@ -1,5 +1,3 @@
-"""What the package offers by name."""
-
 import pytest
 
 import epiprior

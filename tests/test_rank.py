@@ -22,7 +22,7 @@ def ranked(model):
     return epiprior.rank_matches(*PAIR, model=model)
 
 
-def test_the_set_is_sorted_and_its_top_is_right(ranked):
+def test_the_set_is_sorted_its_top_right_and_its_bytes_the_same_whatever_the_threads(ranked, model, monkeypatch):
     assert len(ranked.sets) == 1
     best = ranked.sets[0]
     assert len(best) > 300
@@ -38,6 +38,11 @@ def test_the_set_is_sorted_and_its_top_is_right(ranked):
     names |= {"coherence", "2keypoints", "2keypoint classifier", "votes", "probabilities"}
     assert set(ranked.seconds) == names
     assert min(ranked.seconds.values()) > 0
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    again = epiprior.rank_matches(*PAIR, model=model)
+    for one, two in zip(ranked.sets, again.sets, strict=True):
+        for name in ("x1", "x2", "probability", "supporting_matrices", "rough_matrices"):
+            assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
 
 
 def test_rough_matrices_are_in_given_pixels(model):
@@ -52,14 +57,6 @@ def test_rough_matrices_are_in_given_pixels(model):
     middle = [np.median(sampson_distance(F, x1, x2)) for F in found.rough_matrices]
     assert min(middle) < 3  # some are close to the truth: rows correspond
     assert np.median(sampson_distance(ROWS_CORRESPOND, x1, x2)) < 1e-9
-
-
-def test_same_input_same_bytes_whatever_the_threads(ranked, model, monkeypatch):
-    monkeypatch.setattr("os.cpu_count", lambda: 1)
-    again = epiprior.rank_matches(*PAIR, model=model)
-    for one, two in zip(ranked.sets, again.sets, strict=True):
-        for name in ("x1", "x2", "probability", "supporting_matrices", "rough_matrices"):
-            assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
 
 
 def test_a_turned_image_is_matched_under_its_roll(model):
@@ -81,7 +78,7 @@ def test_paper_preset_runs_both_hypotheses_always():
     assert hypothesis.find_candidates(prepared, 0.0, PAPER).two_keypoints.descriptors.shape[1] == 6
 
 
-def test_features_of_the_callers_own(model, ranked):
+def test_features_of_the_callers_own_and_what_does_not_fit_is_named(model, ranked):
     own = dict(
         zip(("features1", "features2"), [detect_features(load_photograph(image)) for image in PAIR], strict=True)
     )
@@ -93,9 +90,6 @@ def test_features_of_the_callers_own(model, ranked):
         assert rows.max() > len(np.unique(features.xy, axis=0)) - 1  # rows of features, not of locations
     top = epiprior.rank_matches(None, None, **own, model=model).sets[0].take(slice(0, 100))
     assert (np.abs(top.x1[:, 1] - top.x2[:, 1]) < 2).mean() > 0.9
-
-
-def test_features_and_models_that_do_not_fit_are_named(model):
     left, right = relief_pair(240, 180)
     own = detect_features(load_photograph(left))
     short = replace(own, descriptors=own.descriptors[:, :64])

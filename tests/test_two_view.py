@@ -68,19 +68,16 @@ def test_images_are_ranked_with_the_preset_and_ranked_matches_are_used(ranking):
     assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 2.5)
 
 
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
+def test_options_that_are_unknown_or_contradict_each_other_are_refused_before_any_work(ranking):
+    for options, named in (
         ({"estimator": "usak"}, "'usak'"),
         ({"mode": "waterfall"}, "mode is 'waterfall', known: preprocess, standard, cascade"),
         ({"mode": "cascade", "hand_over": HandOver()}, "hand_over is for one input"),
         ({"rule": KEEP_ALL}, "rule is of the cascade, but mode is 'preprocess'"),
         ({"rule": KEEP_ALL, "mode": "standard"}, "rule is of the cascade, but mode is 'standard'"),
-    ],
-)
-def test_options_that_are_unknown_or_contradict_each_other_are_refused_before_any_work(ranking, options, named):
-    with pytest.raises((EstimatorError, SettingsError), match=named):
-        estimate_fundamental(texture(), texture(), **options)
+    ):
+        with pytest.raises((EstimatorError, SettingsError), match=named):
+            estimate_fundamental(texture(), texture(), **options)
     assert ranking["calls"] == []
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from epiprior_lab.pairsets import Camera, Pair
+from epiprior_lab.pairsets import Camera, Pair, reproject
 from epiprior_lab.scenes.camera_pairs import look_at
 from epiprior_lab.scenes.render import Light, cast_shadows
 from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, World, WorldBuilder, box, upright
@@ -35,6 +35,16 @@ def camera_at(x: float, *, roll_deg: float = 0.0, z: float = -12.0) -> Camera:
     return look_at(eye, target, roll_deg=roll_deg, focal_px=300.0, width=WIDTH, height=HEIGHT)
 
 
+CAMERAS = camera_at(-1.0), camera_at(1.5, roll_deg=10)
+
+
+def seen_by_both(count: int = 30, seed: int = 0, cameras=CAMERAS):
+    """Return points that two cameras of `camera_at` see, at depths that lie on no plane."""
+    rng = np.random.default_rng(seed)
+    x1 = np.column_stack([rng.uniform(80, 240, count), rng.uniform(60, 180, count)])
+    return x1, reproject(*cameras, x1, rng.uniform(9, 15, count))[0]
+
+
 def two_cameras(t=(-2.0, 0.3, 0.4), angle: float = 15.0, R=None) -> tuple[Camera, Camera]:
     """Return two cameras of `synthetic`: one at the origin, and one that is turned and moved."""
     turned = rotation((0.1, 1, 0.2), angle) if R is None else R
@@ -52,10 +62,10 @@ def points_before(cameras, count: int = 60):
     return x1, x2
 
 
-def camera_pair(folder, cameras) -> Pair:
+def camera_pair(image, cameras, **changes) -> Pair:
     """Return a pair that has cameras and nothing else."""
-    first, second = cameras
-    return Pair(pair_id="p", scene="s", image1=folder, image2=folder, camera1=first, camera2=second, difficulty="")
+    known = dict(zip(("camera1", "camera2"), cameras, strict=True)) | {"image1": image, "image2": image}
+    return Pair(**({"pair_id": "p", "scene": "s", "difficulty": ""} | known | changes))
 
 
 def no_shadows(world: World):

@@ -1,12 +1,11 @@
 """COLMAP databases: what is written is mapped by pycolmap; what COLMAP has filled is extended."""
 
-import contextlib
 import sqlite3
 
 import numpy as np
 import pytest
 
-from collections_fakes import MATCHES, FakeEstimation, in_this_process, small_images
+from collections_fakes import MATCHES, FakeEstimation, in_this_process, rows_of, small_images
 from epiprior import FeatureError, ImageError, OutputError, SettingsError, Status, match_collection
 from epiprior.collection.database import CameraSettings, extend_database, infer_cameras, read_filled, write_database
 from epiprior.collection.images import find_images
@@ -48,7 +47,7 @@ def test_database_holds_what_was_matched_and_no_pair_without_geometry(tmp_path, 
     in_this_process(monkeypatch, FakeEstimation(Status.NO_MODEL))
     found = match_collection(tmp_path / "set")
     assert write_database(tmp_path / "none.db", found, infer_cameras(found.images, CameraSettings()), 0.0) == 0
-    assert rows(tmp_path / "none.db", "matches", "two_view_geometries") == [[], []]
+    assert not any(rows_of(tmp_path / "none.db", "matches", "two_view_geometries").values())
 
 
 def test_a_database_that_was_made_meanwhile_stays(tmp_path, found, monkeypatch):
@@ -95,11 +94,6 @@ def filled(tmp_path):
     return extract_colmap(tmp_path / "colmap.db", tmp_path / "set")
 
 
-def rows(path, *tables):
-    with contextlib.closing(sqlite3.connect(path)) as opened:
-        return [sorted(opened.execute(f"SELECT * FROM {table}")) for table in tables]
-
-
 @pytest.mark.parametrize("with_photographs", [True, False])
 def test_a_database_of_colmap_is_extended(tmp_path, filled, monkeypatch, with_photographs):
     estimation = in_this_process(monkeypatch)
@@ -111,12 +105,12 @@ def test_a_database_of_colmap_is_extended(tmp_path, filled, monkeypatch, with_ph
         geometry.config, geometry.inlier_matches = 2, np.array([[0, 0]], np.uint32)
         database.write_two_view_geometry(ids["sub/c.png"], ids["a.png"], geometry)
         database.write_matches(ids["a.png"], ids["sub/b.png"], np.empty((0, 2), np.uint32))  # COLMAP found none
-    before = rows(filled, *mine)
+    before = rows_of(filled, *mine)
     known = read_filled(filled, tmp_path / "set" if with_photographs else None)
     found = match_collection(known.images, given=known.features, without=known.verified)
     assert [(pair.image1, pair.image2) for pair in found] == [("a.png", "sub/b.png"), ("sub/b.png", "sub/c.png")]
     assert extend_database(filled, found, 0.5) == 2
-    assert rows(filled, *mine) == before
+    assert rows_of(filled, *mine) == before
     assert all((call["views"][0] is not None) == with_photographs for call in estimation.calls)
     with pycolmap.Database.open(filled) as database:
         assert database.num_verified_image_pairs() == 3

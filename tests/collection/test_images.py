@@ -14,11 +14,11 @@ from pictures import save, texture, turned_jpeg
 
 
 def test_images_are_found_in_folders_and_named_from_the_deepest_that_holds_all(tmp_path, caplog):
-    small_images(tmp_path / "set", ("b.png", "sub/a b.png", ".hidden/c.png", "._b.png", "._a.png"))
+    small_images(tmp_path / "set", ("_b.png", "sub/a b.png", ".c.png", ".hidden/c.png", "._b.png", "._a.png"))
     (tmp_path / "set" / "notes.txt").write_text("no image")
     with caplog.at_level(logging.WARNING, "epiprior"):
         found = find_images(tmp_path / "set")
-    assert [image.name for image in found.images] == ["b.png", "sub/a b.png"]
+    assert [image.name for image in found.images] == [".c.png", "_b.png", "sub/a b.png"]
     assert found.root == tmp_path / "set"
     (line,) = caplog.messages
     assert "._a.png: one of 2 files named ._*" in line

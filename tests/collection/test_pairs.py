@@ -1,5 +1,3 @@
-"""Which pairs are matched."""
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from epiprior.collection.pairs import choose_pairs, default_pairs
 NAMES = ["a 1.jpg", "b.jpg", "c.jpg", "d.jpg"]
 
 
-def test_all_neighbours_and_a_list_of_names(tmp_path):
+def test_all_neighbours_a_list_of_names_and_what_is_neither(tmp_path):
     assert choose_pairs("exhaustive", NAMES) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     assert choose_pairs("sequential:1", NAMES) == [(0, 1), (1, 2), (2, 3)]
     assert choose_pairs("sequential:2", NAMES) == [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]
@@ -17,27 +15,18 @@ def test_all_neighbours_and_a_list_of_names(tmp_path):
     path = tmp_path / "pairs.txt"
     path.write_text("# of hloc\nd.jpg a 1.jpg\na 1.jpg  b.jpg\n\nb.jpg\ta 1.jpg\nc.jpg d.jpg \n")
     assert choose_pairs(str(path), NAMES) == [(0, 1), (0, 3), (2, 3)]
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+    for how in ("sequential", "sequential:0", "similar:x", "no/such/file"):
+        with pytest.raises(SettingsError, match=f"pairs = '{how}': expected"):
+            choose_pairs(how, NAMES)
+    for text, words in (
         ("b.jpg c.jpg\nb.jpg x.jpg\n", r"pairs\.txt: line 2: 'b.jpg x.jpg' is not two names"),
         ("b.jpg\n", "line 1: 'b.jpg' is not two names"),
         ("b.jpg b.jpg\n", "line 1: 'b.jpg' is paired with itself"),
         ("# nothing\n", "holds no pair"),
-    ],
-)
-def test_lists_that_cannot_be_used(tmp_path, text, words):
-    (tmp_path / "pairs.txt").write_text(text)
-    with pytest.raises(SettingsError, match=words):
-        choose_pairs(str(tmp_path / "pairs.txt"), NAMES)
-
-
-@pytest.mark.parametrize("how", ["sequential", "sequential:0", "similar:x", "no/such/file"])
-def test_unknown_ways(how):
-    with pytest.raises(SettingsError, match=f"pairs = '{how}': expected"):
-        choose_pairs(how, NAMES)
+    ):
+        path.write_text(text)
+        with pytest.raises(SettingsError, match=words):
+            choose_pairs(str(path), NAMES)
 
 
 def test_images_that_share_words_are_paired():

@@ -1,5 +1,3 @@
-"""The command line: what it prints, writes and returns."""
-
 import errno
 import json
 import logging
@@ -14,7 +12,7 @@ import numpy as np
 import pytest
 
 import epiprior
-from command_line import PAIR, FakeLibrary, one_line, run_python
+from command_line import PAIR, FakeLibrary, one_line, refused, run_python
 from command_line import run_command as run
 from epiprior import ImageError, ModelError, Status
 from epiprior.io import read_matches
@@ -43,7 +41,7 @@ def images(tmp_path):
     return [save(tmp_path / f"{name}.png", texture(1024, 768, seed)) for seed, name in enumerate("ab")]
 
 
-def test_estimate_as_json(library):
+def test_estimate_as_json_as_text_and_with_an_unknown_confidence(library):
     options = ("--estimator", "prosac", "--seed", 5, "--threshold", 2.5, "--min-confidence", 0.4)
     result = run("estimate", "a.jpg", "b.jpg", "--json", *options)
     assert (result.exit_code, result.stderr) == (0, "")
@@ -56,6 +54,16 @@ def test_estimate_as_json(library):
     asked = {"images": (Path("a.jpg"), Path("b.jpg")), "estimator": "prosac", "mode": "preprocess", "seed": 5}
     asked |= {"settings": find_preset("default"), "threshold_px": 2.5, "min_confidence": 0.4}
     assert library.options() == asked
+    result = run("estimate", "a", "b", "--text")
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    support = f"support {PAIR.right.sum()} of {len(PAIR.matches)} matches"
+    assert lines[0] == f"usac: ok, confidence 0.88, geometry general, {support}"
+    assert [line[0] for line in lines[1:4]] == ["F", " ", " "]
+    np.testing.assert_allclose([[float(v) for v in line[1:].split()] for line in lines[1:4]], PAIR.F, rtol=1e-9)
+    library.estimate = estimate_of(confidence=float("nan"))
+    assert json.loads(run("estimate", "a", "b", "--json").stdout)["confidence"] is None
+    assert "confidence" not in run("estimate", "a", "b", "--text").stdout
 
 
 @pytest.mark.parametrize(
@@ -68,19 +76,6 @@ def test_estimate_with_a_mode(library, mode, taken, preset):
     assert library.options()["mode"] == mode
     assert (printed["input"], printed["preset"]) == (taken, preset)
     assert f"{taken} matches; roll" in run("estimate", "a", "b", "--mode", mode, "--text").stdout
-
-
-def test_estimate_as_text_and_an_unknown_confidence(library):
-    result = run("estimate", "a", "b", "--text")
-    assert result.exit_code == 0
-    lines = result.stdout.splitlines()
-    support = f"support {PAIR.right.sum()} of {len(PAIR.matches)} matches"
-    assert lines[0] == f"usac: ok, confidence 0.88, geometry general, {support}"
-    assert [line[0] for line in lines[1:4]] == ["F", " ", " "]
-    np.testing.assert_allclose([[float(v) for v in line[1:].split()] for line in lines[1:4]], PAIR.F, rtol=1e-9)
-    library.estimate = estimate_of(confidence=float("nan"))
-    assert json.loads(run("estimate", "a", "b", "--json").stdout)["confidence"] is None
-    assert "confidence" not in run("estimate", "a", "b", "--text").stdout
 
 
 @pytest.mark.parametrize("status", [Status.TOO_FEW_MATCHES, Status.NO_MODEL, Status.DEGENERATE])
@@ -143,9 +138,7 @@ def test_match_writes_all_sets_and_says_where_there_are_none(library, images, tm
     ("command", "name"), [("match", "m.txt"), ("match", "no/m.csv"), ("draw", "f.gif"), ("draw", "no/f.png")]
 )
 def test_outputs_are_checked_before_the_work(library, tmp_path, command, name):
-    result = run(command, "a", "b", "--out", tmp_path / name)
-    assert result.exit_code == 2
-    assert str(tmp_path / name) in one_line(result)
+    assert str(tmp_path / name) in refused(command, "a", "b", "--out", tmp_path / name)
     assert library.calls == []
 
 
@@ -180,9 +173,7 @@ def test_estimators_and_models_are_listed(model_folder, tmp_path):
     assert printed["match"]["features"][0] == "supporting_matrices"
     assert printed["folder"] == str(model_folder)
     for name in ("nothing", "no/folder", tmp_path):
-        result = run("info", name)
-        assert result.exit_code == 2
-        assert str(name) in one_line(result)
+        assert str(name) in refused("info", name)
 
 
 def test_help_version_and_usage_import_nothing_slow():
@@ -236,12 +227,6 @@ def photographs(tmp_path_factory):
     return files
 
 
-def assert_rows_correspond(F, x1):
-    """The cameras of the good pair stand side by side: (F x1) is the row of x1, here at the column 200."""
-    lines = np.column_stack([x1, np.ones(len(x1))]) @ np.array(F).T
-    np.testing.assert_allclose(-(lines[:, 0] * 200 + lines[:, 2]) / lines[:, 1], np.array(x1)[:, 1], atol=1.5)
-
-
 @pytest.mark.parametrize("how", ["--mode=preprocess", "--mode=standard", "--mode=cascade"])
 def test_a_good_pair(with_model, photographs, how):
     result = run("estimate", photographs["left"], photographs["right"], how, "--json")
@@ -249,7 +234,9 @@ def test_a_good_pair(with_model, photographs, how):
     printed = json.loads(result.stdout)
     assert printed["status"] == "ok"
     assert printed["support"] > 300
-    assert_rows_correspond(printed["F"], [(100, 50), (300, 250)])
+    # The cameras stand side by side: the epipolar line of a point is its row, here at the column 200.
+    lines = np.array([(100, 50, 1), (300, 250, 1)]) @ np.array(printed["F"]).T
+    np.testing.assert_allclose(-(lines[:, 0] * 200 + lines[:, 2]) / lines[:, 1], [50, 250], atol=1.5)
 
 
 @pytest.mark.parametrize(
@@ -290,10 +277,8 @@ def test_bad_pairs(with_model, photographs, tmp_path, name1, name2, code, words)
 def test_unknown_names_and_what_is_not_installed(with_model, photographs, tmp_path, monkeypatch):
     pair = (photographs["left"], photographs["right"])
     for option in ("--estimator", "--preset"):
-        result = run("estimate", *pair, option, "nonsense")
-        assert result.exit_code == 2
-        assert "nonsense" in one_line(result)
-    assert "threshold" in one_line(run("estimate", *pair, "--threshold", "-1"))
+        assert "nonsense" in refused("estimate", *pair, option, "nonsense")
+    assert "threshold" in refused("estimate", *pair, "--threshold", "-1")
     for package in ("poselib", "pycolmap"):
         monkeypatch.setitem(sys.modules, package, None)
     for arguments, words in (
@@ -302,9 +287,7 @@ def test_unknown_names_and_what_is_not_installed(with_model, photographs, tmp_pa
         (["colmap", *pair, "--database", tmp_path / "new.db"], "needs pycolmap: pip install 'pycolmap>=4,<5'"),
         (["sfm", *pair, "--out", tmp_path / "scene"], "needs pycolmap: pip install 'pycolmap>=4,<5'"),
     ):
-        result = run("--quiet", *arguments)
-        assert result.exit_code == 2
-        assert words in one_line(result)
+        assert words in refused("--quiet", *arguments)
     assert not list(tmp_path.iterdir())
 
 

@@ -1,10 +1,6 @@
-"""The commands on collections: what they print, write and return."""
-
-import contextlib
 import logging
 import os
 import shutil
-import sqlite3
 import subprocess
 import sys
 import time
@@ -13,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from collections_fakes import FakeEstimation, in_this_process, small_images, views
-from command_line import one_line
+from collections_fakes import FakeEstimation, in_this_process, rows_of, small_images, views
+from command_line import one_line, refused
 from command_line import run_command as run
 from epiprior import Status
 from epiprior.features.detect import detect_features
@@ -36,21 +32,19 @@ def images(tmp_path):
     return tmp_path / "set"
 
 
-def names_in(path):
-    with contextlib.closing(sqlite3.connect(path)) as opened:
-        return sorted(name for (name,) in opened.execute("SELECT name FROM images"))
-
-
 def test_colmap(estimation, images, tmp_path):
     result = run("colmap", images, "--database", tmp_path / "out.db", "--max-features", 200)
     assert result.exit_code == 0, result.stderr
     assert f"{tmp_path / 'out.db'}: 3 of 3 pairs have a geometry" in result.stdout
     assert "pairs: 3 of 3" in result.stderr
-    assert names_in(tmp_path / "out.db") == ["Photo 1.png", "Photo 2.png", "Photo 3.png"]
-    again = run("colmap", images, "--database", tmp_path / "out.db")
-    assert again.exit_code == 2
-    assert "out.db: exists already, but Photo 1.png has no descriptors" in one_line(again)
-    assert "exists already" in one_line(run("colmap", *images.iterdir(), "--database", tmp_path / "out.db"))
+    assert [row[1] for row in rows_of(tmp_path / "out.db", "images")["images"]] == [
+        "Photo 1.png",
+        "Photo 2.png",
+        "Photo 3.png",
+    ]
+    again = refused("colmap", images, "--database", tmp_path / "out.db")
+    assert "out.db: exists already, but Photo 1.png has no descriptors" in again
+    assert "exists already" in refused("colmap", *images.iterdir(), "--database", tmp_path / "out.db")
     assert run("colmap", "--database", tmp_path / "new.db").exit_code == 2
     assert run("colmap", images / "Photo 1.png", "--database", tmp_path / "new.db").exit_code == 2
 
@@ -90,11 +84,8 @@ def test_all_images_are_checked_before_the_work(estimation, images, tmp_path, co
         bad.write_text("not a picture")
     elif kind == "doubled":
         bad = files[0]
-    result = run(
-        command, *files, bad, *(["--database", tmp_path / "o.db"] if command == "colmap" else ["--out", tmp_path / "o"])
-    )
-    assert result.exit_code == 2
-    assert bad.name in one_line(result)
+    out = ({"colmap": "--database", "sfm": "--out"}[command], tmp_path / "o.db")
+    assert bad.name in refused(command, *files, bad, *out)
     assert not list(tmp_path.glob("o*"))
 
 
@@ -129,18 +120,7 @@ def test_hloc(estimation, images, tmp_path):
 def test_from_a_folder_to_a_model(tmp_path, caplog):
     folder = views(tmp_path / "set")
     shutil.copy(folder / "0.png", folder / "copy.png")
-    command = (
-        "sfm",
-        folder,
-        "--out",
-        tmp_path / "scene",
-        "--mode",
-        "standard",
-        "--camera-mode",
-        "single",
-        "--workers",
-        1,
-    )
+    command = ("sfm", folder, "--out", tmp_path / "scene", "--mode=standard", "--camera-mode=single", "--workers=1")
     with caplog.at_level(logging.INFO, "epiprior"):
         result = run(*command)
     assert result.exit_code == 0, result.stderr
@@ -164,15 +144,6 @@ def test_from_a_folder_to_a_model(tmp_path, caplog):
 KILLS = int(os.environ.get("EPIPRIOR_KILLS", "3"))
 
 
-def all_rows(path):
-    """Return the contents of every table."""
-    with contextlib.closing(sqlite3.connect(path)) as opened:
-        names = [
-            name for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")
-        ]
-        return {name: opened.execute(f"SELECT * FROM {name} ORDER BY 1, 2").fetchall() for name in names}
-
-
 @pytest.mark.slow
 def test_killed_at_random_moments_and_started_again_it_writes_the_same(tmp_path):
     """EPIPRIOR_KILLS sets how many moments are tried."""
@@ -180,7 +151,7 @@ def test_killed_at_random_moments_and_started_again_it_writes_the_same(tmp_path)
     command = [sys.executable, "-m", "epiprior.cli", "--quiet", "colmap", str(folder), "--mode", "standard"]
     start = time.monotonic()
     subprocess.run([*command, "--database", str(tmp_path / "whole.db")], check=True)
-    seconds, whole = time.monotonic() - start, all_rows(tmp_path / "whole.db")
+    seconds, whole = time.monotonic() - start, rows_of(tmp_path / "whole.db")
     assert len(whole["two_view_geometries"]) > 5
     for number, moment in enumerate(np.random.default_rng(KILLS).uniform(0.3, 1, KILLS) * seconds):
         path = tmp_path / f"{number}.db"
@@ -192,5 +163,5 @@ def test_killed_at_random_moments_and_started_again_it_writes_the_same(tmp_path)
                 killed += 1
         if not path.exists():  # it is there as a whole, or not at all
             subprocess.run([*command, "--database", str(path)], check=True)
-        assert all_rows(path) == whole
+        assert rows_of(path) == whole
     assert killed

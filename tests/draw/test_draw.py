@@ -17,7 +17,6 @@ ONE_MATCH = make_matches([[1.0, 1.0]], [[1.0, 1.0]], np.array([0.5]))
 
 
 def coloured(picture):
-    """Where a picture is neither grey nor near to it."""
     return np.ptp(picture.astype(int), axis=2) > 40
 
 
@@ -57,7 +56,7 @@ def test_a_match_is_drawn_at_its_place_in_the_colour_of_its_probability_or_ratio
     assert not coloured(picture[top:])[250:550, :90].any()
 
 
-def test_best_matches_only_and_one_per_feature():
+def test_best_matches_only_one_per_feature_and_none_outside():
     x1, x2 = np.random.default_rng(0).uniform(20, 700, (2, 60, 2))
     matches = make_matches(x1, x2, np.linspace(1, 0.2, 60), feature1=np.arange(60) // 2)
     few = draw_matches(BLACK, BLACK, matches, settings=DrawSettings(max_matches=1))
@@ -66,6 +65,10 @@ def test_best_matches_only_and_one_per_feature():
     body = slice(many.shape[0] - 768, None)
     assert coloured(many[body]).sum() > 5 * coloured(few[body]).sum()
     np.testing.assert_array_equal(many[body], only[body])
+    empty = make_matches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
+    assert not coloured(draw_matches(BLACK, BLACK, empty)[120:]).any()
+    outside = make_matches([[-900.0, 5.0], [5e9, 5.0]], [[10.0, 10.0], [10.0, 10.0]], np.array([0.9, 0.9]))
+    assert not coloured(draw_matches(BLACK, BLACK, outside)[120:]).any()
 
 
 @pytest.mark.parametrize(
@@ -96,18 +99,18 @@ def test_large_images_are_scaled_with_their_points_and_lines():
     assert np.abs(small - draw_matches(large, large, none, scaled)).max() < 40
 
 
-def test_no_matches_and_points_outside():
-    empty = make_matches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
-    assert not coloured(draw_matches(BLACK, BLACK, empty)[120:]).any()
-    outside = make_matches([[-900.0, 5.0], [5e9, 5.0]], [[10.0, 10.0], [10.0, 10.0]], np.array([0.9, 0.9]))
-    assert not coloured(draw_matches(BLACK, BLACK, outside)[120:]).any()
-
-
-def test_a_file_and_its_array_give_the_same_figure(tmp_path):
+def test_a_file_and_its_array_give_the_same_figure_which_is_read_back_as_written(tmp_path):
     rgb = np.dstack([texture(200, 150, seed) for seed in range(3)])
     path = save(tmp_path / "a.png", rgb)
     matches = make_matches([[20.0, 30.0]], [[50.0, 60.0]], np.array([0.7]))
     np.testing.assert_array_equal(draw_matches(path, rgb, matches), draw_matches(rgb, str(path), matches))
+    write_picture(tmp_path / "b.png", rgb)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "b.png"))[:, :, ::-1], rgb)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
+    with pytest.raises(OutputError, match=r"a\.tiff"):
+        write_picture(tmp_path / "a.tiff", rgb)
+    with pytest.raises(OutputError, match="missing"):
+        write_picture(tmp_path / "missing" / "a.png", rgb)
 
 
 def test_long_messages_stay_left_of_the_colour_scale():
@@ -118,14 +121,3 @@ def test_long_messages_stay_left_of_the_colour_scale():
     )
     np.testing.assert_array_equal(short[:, 700:], long[:, 700:])
     assert (short != long).any()
-
-
-def test_written_figure_reads_back(tmp_path):
-    picture = np.dstack([texture(60, 40, seed) for seed in range(3)])
-    write_picture(tmp_path / "a.png", picture)
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.png"))[:, :, ::-1], picture)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
-    with pytest.raises(OutputError, match=r"a\.tiff"):
-        write_picture(tmp_path / "a.tiff", picture)
-    with pytest.raises(OutputError, match="missing"):
-        write_picture(tmp_path / "missing" / "a.png", picture)

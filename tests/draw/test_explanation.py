@@ -16,20 +16,10 @@ RANKED = make_matches([[360.0, 270.0], [460.0, 270.0]], [[200.0, 272.0], [250.0,
 BEST = SupportedMatrix(
     index=0, F=SIDE_BY_SIDE, made_of=np.zeros((2, 2), int), residual_px=1.4, inliers=3, probability_sum=2.5
 )
-EXPLANATION = Explanation(
-    match=0,
-    set=0,
-    row=0,
-    ranked=RANKED,
-    turned=False,
-    rounds=(ExplainedRound(probability=0.9, judged=2, columns=(ExplainedColumn("similarity", 1, 2, 3, 0.5, 0.6),)),),
-    in_x=True,
-    partners=np.array([1]),
-    partner_probability=np.array([0.6]),
-    partner_voted=np.array([True]),
-    self_made=0,
-    best=BEST,
-)
+ROUND = ExplainedRound(probability=0.9, judged=2, columns=(ExplainedColumn("similarity", 1, 2, 3, 0.5, 0.6),))
+PARTNERS = {"partners": np.array([1]), "partner_probability": np.array([0.6]), "partner_voted": np.array([True])}
+PLACE = {"match": 0, "set": 0, "row": 0, "ranked": RANKED, "turned": False}
+EXPLANATION = Explanation(**PLACE, **PARTNERS, rounds=(ROUND,), in_x=True, self_made=0, best=BEST)
 DOT, PARTNER = (np.array(colour) for colour in probability_colours(np.array([0.9, 0.6])))
 ORANGE = np.array([255, 140, 60])
 
@@ -45,31 +35,24 @@ def near(panel, colour):
     return np.argwhere(np.abs(panel.astype(int) - colour).max(axis=2) < 30)[:, ::-1]
 
 
-def test_the_match_and_its_lines_are_where_they_are_in_the_images():
-    (left, right), _ = rows_of_images(draw_explanation(BLACK, BLACK, EXPLANATION))
+def test_the_match_and_its_lines_are_where_they_are_in_the_images_and_partners_are_shown_nearer():
+    (left, right), nearer = rows_of_images(draw_explanation(BLACK, BLACK, EXPLANATION))
     for panel, (x, y), row in ((left, (360, 270), 272), (right, (200, 272), 270)):
         np.testing.assert_allclose(near(panel, DOT).mean(axis=0), (x, y), atol=0.5)
         line = near(panel, ORANGE)
         assert len(line) > 1000
         np.testing.assert_allclose(np.median(line[:, 1]), row, atol=1)
         assert not len(near(panel, PARTNER))
-
-
-@pytest.mark.parametrize(("side", "x", "step"), [(0, 360, 100), (1, 200, 50)])
-def test_partners_are_shown_nearer(side, x, step):
-    panel = rows_of_images(draw_explanation(BLACK, BLACK, EXPLANATION))[1][side]
-    height = np.ceil(2 * 1.15 * step)
-    match, partner = near(panel, DOT).mean(axis=0), near(panel, PARTNER)
-    np.testing.assert_allclose(match, (360, 270), atol=4)  # in the middle, up to a pixel of the image
-    end = partner[partner[:, 0] > partner[:, 0].max() - 8].mean(axis=0)
-    np.testing.assert_allclose(end - match, (step * 540 / height, 0), atol=5)
+    for panel, step in zip(nearer, (100, 50), strict=True):
+        match, partner = near(panel, DOT).mean(axis=0), near(panel, PARTNER)
+        np.testing.assert_allclose(match, (360, 270), atol=4)  # in the middle, up to a pixel of the image
+        end = partner[partner[:, 0] > partner[:, 0].max() - 8].mean(axis=0)
+        np.testing.assert_allclose(end - match, (step * 540 / np.ceil(2 * 1.15 * step), 0), atol=5)
 
 
 def test_what_there_is_not_is_not_drawn():
-    none = np.empty(0)
-    alone = replace(
-        EXPLANATION, best=None, in_x=False, partners=none.astype(int), partner_probability=none, partner_voted=none
-    )
+    none = {name: values[:0] for name, values in PARTNERS.items()}
+    alone = replace(EXPLANATION, best=None, in_x=False, **none)
     assert "outside X" in alone.sentences()[0]
     for row in rows_of_images(draw_explanation(BLACK, BLACK, alone)):
         for panel in row:

@@ -35,7 +35,7 @@ def naive_score(F, x1, x2, weights, group, threshold):
 
 
 @pytest.mark.parametrize("size", [1, 3])
-def test_scores_are_those_of_the_naive_twin(size):
+def test_scores_are_those_of_the_naive_twin_and_models_that_are_none_score_nothing(size):
     pair = make_pair(inliers=60, outliers=60)
     m = pair.matches
     group = np.random.default_rng(0).permutation(120) // size
@@ -44,9 +44,6 @@ def test_scores_are_those_of_the_naive_twin(size):
     wanted = [naive_score(F, m.x1, m.x2, m.probability, group, 3.0) for F in models[::10]]
     assert found[::10] == pytest.approx(wanted, abs=0.01, rel=1e-3)
     assert found.max() > 5
-
-
-def test_models_that_are_none_and_no_matches_score_nothing():
     m = make_pair(inliers=20, outliers=0).matches
     evidence = Evidence(m.x1, m.x2, m.probability, np.arange(20))
     assert not evidence.scores(np.stack([np.zeros((3, 3)), np.full((3, 3), np.nan)]), 2.0).any()
@@ -136,7 +133,7 @@ def test_two_oriented_matches_give_f():
 # Plane and parallax.
 
 
-def test_models_of_a_plane_go_through_their_two_matches():
+def test_models_of_a_plane_go_through_their_two_matches_and_mend_it_by_parallax():
     rng = np.random.default_rng(1)
     X = np.column_stack([rng.uniform(-3, 3, 30), rng.uniform(-2, 2, 30), np.full(30, 10.0)])
     X[:5, 2] -= rng.uniform(1, 3, 5)
@@ -147,10 +144,7 @@ def test_models_of_a_plane_go_through_their_two_matches():
     for F, (i, j) in zip(models, combinations(range(5), 2), strict=True):
         assert sampson_distance(F, x1, x2).max() < 0.1, (i, j)
         assert np.linalg.svd(F, compute_uv=False)[2] < 1e-9
-
-
-def test_plane_is_mended_by_parallax_which_is_not_asked_without_a_plane():
-    """From an F that has the plane but a wrong epipole to the true one."""
+    # From an F that has the plane but a wrong epipole to the true one.
     pair = make_pair(scene="plane+", inliers=200, outliers=60, off_plane=25, order=4.0, seed=2)
     m = pair.matches
     flat = make_pair(scene="plane", inliers=200, outliers=0, seed=2).matches
@@ -201,12 +195,9 @@ def test_candidates_of_a_feature_count_once():
     pair, other = (make_pair(inliers=n, outliers=0, seed=s) for n, s in ((60, 1), (25, 2)))
     wrong1 = np.repeat(other.matches.x1, 10, axis=0)
     wrong2 = on_epipolar_lines(other.F, wrong1)
-    matches = make_matches(
-        np.concatenate([wrong1, pair.matches.x1]),
-        np.concatenate([wrong2, pair.matches.x2]),
-        np.full(310, 0.5),
-        feature1=np.concatenate([np.repeat(np.arange(25), 10), 100 + np.arange(60)]),
-    )
+    x1, x2 = np.concatenate([wrong1, pair.matches.x1]), np.concatenate([wrong2, pair.matches.x2])
+    feature1 = np.concatenate([np.repeat(np.arange(25), 10), 100 + np.arange(60)])
+    matches = make_matches(x1, x2, np.full(310, 0.5), feature1=feature1)
     assert pair.error_px(run("epiprior", matches).F) < 2.0
 
 

@@ -88,16 +88,12 @@ def test_the_cap_is_kept_and_easy_pairs_end_early(name):
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_distance_ratios_stand_in_for_probabilities(name):
+def test_distance_ratios_stand_in_for_probabilities_and_everything_improbable_changes_no_f(name):
     pair = make_pair(inliers=150, outliers=150)
     ratio = np.where(pair.right, 0.6, 0.88) + np.random.default_rng(0).normal(0, 0.05, 300)
     matches = replace(pair.matches, probability=np.full(300, np.nan), distance_ratio=np.clip(ratio, 0, 0.9))
     assert pair.error_px(fit(name, matches).F) < 1
-
-
-@pytest.mark.parametrize("name", OWN)
-def test_everything_improbable_is_no_error_and_changes_no_f(name):
-    """Twice as many matches of another motion, all of probability 0, lead F nowhere; alone they raise nothing."""
+    # Twice as many matches of another motion, all of probability 0, lead F nowhere; alone they raise nothing.
     pair, other = make_pair(inliers=100, outliers=20), make_pair(inliers=200, outliers=0, seed=1).matches
     m = pair.matches
     both = make_matches(
@@ -144,6 +140,11 @@ def test_density_and_the_tables_are_densities():
     for table in (ratio_prior.DENSITY_IN, ratio_prior.DENSITY_OUT):
         assert np.trapezoid(table, grid) == pytest.approx(1, abs=0.03)
         assert (table > 0).all()
+    assert ratio_prior.inlier_probability(np.empty(0)).shape == (0,)
+    for ratio in (0.0, 0.5, 1.0):
+        equal = ratio_prior.inlier_probability(np.full(20, ratio))
+        assert np.isfinite(equal).all()
+        assert np.ptp(equal) == 0
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.8])
@@ -164,11 +165,3 @@ def test_the_share_of_right_matches_is_fitted_to_the_pair(share, cut):
     for part in (low, high):  # calibrated
         if part.sum() > 200:
             assert right[part].mean() == pytest.approx(probability[part].mean(), abs=0.08)
-
-
-def test_ratio_prior_of_nothing_and_of_equal_ratios():
-    assert ratio_prior.inlier_probability(np.empty(0)).shape == (0,)
-    for ratio in (0.0, 0.5, 1.0):
-        equal = ratio_prior.inlier_probability(np.full(20, ratio))
-        assert np.isfinite(equal).all()
-        assert np.ptp(equal) == 0

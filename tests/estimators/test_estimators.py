@@ -45,18 +45,19 @@ def assert_sound(estimate: FundamentalEstimate, matches: MatchSet, threshold_px:
         assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, matches.x1, matches.x2) < threshold_px)
 
 
-def same_bytes(a: FundamentalEstimate, b: FundamentalEstimate) -> bool:
-    assert a.F is not None
-    assert b.F is not None
-    return a.F.tobytes() == b.F.tobytes() and a.inliers.tobytes() == b.inliers.tobytes()
-
-
-def test_registry_names_states_and_licences():
+def test_registry_names_states_and_licences_and_a_missing_backend_says_what_to_install(monkeypatch):
     assert set(names()) == KNOWN
     assert tuple(list_estimators()) == tuple(licences()) == names()
     assert epiprior.list_estimators() == list_estimators()
     assert list_estimators()["usac"] == "available"
     assert all(licences().values())
+    monkeypatch.setattr("epiprior.estimators.optional.importlib.util.find_spec", lambda _: None)
+    assert list_estimators()["degensac"] == 'pip install "epiprior[degensac]"'
+    for name, state in list_estimators().items():
+        if state != "available":
+            assert state.startswith("pip install")
+            with pytest.raises(EstimatorError, match=re.escape(f"{name} is not installed: {state}")):
+                run(name, STILL)
 
 
 @pytest.mark.skipif(find_spec("sklearn") is None, reason="the extra lab, which brings all backends, is not installed")
@@ -136,7 +137,7 @@ def test_what_decides_nothing_is_told(name, kind):
 
 
 @each_estimator
-def test_repeated_matches_change_nothing_but_the_mask(name):
+def test_repeated_matches_change_nothing_but_the_mask_and_the_same_seed_gives_the_same_bytes(name):
     pair = make_pair(inliers=60, outliers=40)
     twice = pair.matches.take(np.repeat(np.arange(100), 2))
     once, estimate = run(name, pair.matches), run(name, twice)
@@ -144,14 +145,11 @@ def test_repeated_matches_change_nothing_but_the_mask(name):
     assert once.F is not None
     assert np.array_equal(once.F, estimate.F)
     assert estimate.support == 2 * once.support
-
-
-@each_estimator
-def test_same_seed_same_bytes(name):
-    """Of a large seed; a deterministic estimator gives the same with any."""
+    # Of a large seed; a deterministic estimator gives the same with any.
     matches = make_pair(inliers=60, outliers=140, order=2.0).matches
     seed = 2**63 + 12345
-    assert same_bytes(run(name, matches, seed=seed), run(name, matches, seed=seed + (name in DETERMINISTIC)))
+    one, again = (run(name, matches, seed=k) for k in (seed, seed + (name in DETERMINISTIC)))
+    assert (one.F.tobytes(), one.inliers.tobytes()) == (again.F.tobytes(), again.inliers.tobytes())
 
 
 @each_random_estimator
@@ -201,7 +199,7 @@ def backend_answers(monkeypatch, name, F):
 
 
 @each_estimator
-def test_no_matrix_of_any_backend_is_taken_for_a_model(monkeypatch, name):
+def test_no_matrix_of_any_backend_is_taken_for_a_model_and_no_mask_is_looked_at(monkeypatch, name):
     matches = make_pair().matches
     nothing = [None] if name in ("usac", "magsac++", "gc-ransac", "colmap") else []
     of_other_rank = (np.diag([1.0, 0.0, 0.0]), np.diag([1, 1, np.inf]))
@@ -211,10 +209,6 @@ def test_no_matrix_of_any_backend_is_taken_for_a_model(monkeypatch, name):
         assert_sound(estimate, matches)
         assert estimate.status is Status.NO_MODEL
         assert F is None or "rank 2" in estimate.message
-
-
-@each_estimator
-def test_the_mask_of_no_backend_is_looked_at(monkeypatch, name):
     pair = pair_in_order()
     backend_answers(monkeypatch, name, pair.F)
     estimate = run(name, pair.matches)
@@ -223,20 +217,17 @@ def test_the_mask_of_no_backend_is_looked_at(monkeypatch, name):
     assert estimate.inliers[~pair.right].mean() < 0.05
 
 
-@pytest.mark.parametrize(
-    ("how", "change", "status"),
-    [
+def test_the_matrix_of_a_backend_is_mended_and_judged(monkeypatch):
+    for how, change, status in (
         ({}, lambda F: -5 * (F + 1e-9 * np.eye(3)), Status.OK),  # brought to rank two
         ({"inliers": 7, "outliers": 30}, lambda F: F, Status.NO_MODEL),  # seven right matches have no say
-    ],
-)
-def test_the_matrix_of_a_backend_is_mended_and_judged(monkeypatch, how, change, status):
-    pair = pair_in_order(**how)
-    answer = RawModel(F=change(pair.F), iterations=3)
-    monkeypatch.setattr(opencv.OpenCVEstimator, "fit", lambda *_, **__: answer)
-    estimate = run("usac", pair.matches)
-    assert_sound(estimate, pair.matches)
-    assert (estimate.status, estimate.iterations) == (status, 3)
+    ):
+        pair = pair_in_order(**how)
+        answer = RawModel(F=change(pair.F), iterations=3)
+        monkeypatch.setattr(opencv.OpenCVEstimator, "fit", lambda *_, answer=answer, **__: answer)
+        estimate = run("usac", pair.matches)
+        assert_sound(estimate, pair.matches)
+        assert (estimate.status, estimate.iterations) == (status, 3)
 
 
 @pytest.mark.parametrize("name", [name for name in ("prosac", "lo-ransac") if name in AVAILABLE])
@@ -261,13 +252,3 @@ def test_bad_input_is_refused(name, change, error, message):
     how = {"name": name, "seed": 0, "x2": STILL.x2} | change
     with pytest.raises(error, match=message):
         run(how["name"], make_matches(STILL.x1, how["x2"]), seed=how["seed"])
-
-
-def test_missing_backend_says_what_to_install(monkeypatch):
-    monkeypatch.setattr("epiprior.estimators.optional.importlib.util.find_spec", lambda _: None)
-    assert list_estimators()["degensac"] == 'pip install "epiprior[degensac]"'
-    for name, state in list_estimators().items():
-        if state != "available":
-            assert state.startswith("pip install")
-            with pytest.raises(EstimatorError, match=re.escape(f"{name} is not installed: {state}")):
-                run(name, STILL)

@@ -10,16 +10,8 @@ from hypothesis import strategies as st
 
 import naive
 from epiprior.errors import FeatureError, SettingsError
-from epiprior.estimators import names
-from epiprior.estimators.handover import (
-    INPUTS,
-    HandOver,
-    default_hand_over,
-    find_hand_overs,
-    hand_over,
-    load_hand_overs,
-    save_hand_overs,
-)
+from epiprior.estimators import handover, names
+from epiprior.estimators.handover import HandOver, default_hand_over, hand_over, load_hand_overs, save_hand_overs
 from epiprior.kernels.one_to_one import one_to_one_mask
 from synthetic import make_matches
 
@@ -49,8 +41,8 @@ def test_cuts_come_before_one_to_one_and_top_k():
     assert np.array_equal(hand_over(matches, HandOver()).x1, x)  # nothing asked for
 
 
-def test_defaults_exist_for_everything_and_a_file_overrides_what_it_names(tmp_path):
-    table = {name: {kind: default_hand_over(name, kind) for kind in INPUTS} for name in names()}
+def test_defaults_exist_for_everything_hold_without_a_file_and_are_overridden_by_what_one_names(tmp_path, monkeypatch):
+    table = {name: {kind: default_hand_over(name, kind) for kind in handover.INPUTS} for name in names()}
     assert table["usac"]["standard"].max_distance_ratio == 0.85
     assert table["beem"]["default"].top_k > table["usac"]["default"].top_k > table["colmap"]["default"].top_k
     assert table["usac"]["default"].collect
@@ -63,6 +55,9 @@ def test_defaults_exist_for_everything_and_a_file_overrides_what_it_names(tmp_pa
     assert set(table) == set(names())
     assert table["usac"]["default"] == replace(default_hand_over("usac", "default"), top_k=123, refine=False)
     assert table["usac"]["snn"] == default_hand_over("usac", "snn")
+    assert set(load_hand_overs()) == set(names())
+    monkeypatch.setattr(handover, "find_hand_overs", lambda: None)
+    assert load_hand_overs()["magsac++"]["paper"] == default_hand_over("magsac++", "paper")
 
 
 def test_file_round_trip_is_exact_byte_stable_and_holds_exceptions_only(tmp_path):
@@ -71,14 +66,14 @@ def test_file_round_trip_is_exact_byte_stable_and_holds_exceptions_only(tmp_path
     save_hand_overs(tmp_path / "b.json", {"prosac": dict(reversed(table["prosac"].items()))})
     assert load_hand_overs(tmp_path / "a.json")["prosac"].items() >= table["prosac"].items()
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
-    usual = {kind: default_hand_over("usac", kind) for kind in INPUTS}
+    usual = {kind: default_hand_over("usac", kind) for kind in handover.INPUTS}
     save_hand_overs(tmp_path / "a.json", {"usac": usual | {"snn": HandOver(refine=True)}, "beem": {"snn": HandOver()}})
     assert json.loads((tmp_path / "a.json").read_text()) == {"usac": {"snn": {"refine": True}}}
 
 
-@pytest.mark.parametrize(
-    ("content", "culprit"),
-    [
+def test_bad_file_names_the_culprit(tmp_path):
+    path = tmp_path / "hand_over.json"
+    for content, culprit in (
         ('{"usak": {}}', "'usak'"),
         ('{"usac": {"lowe": {}}}', "'lowe'"),
         ('{"usac": {"snn": {"topk": 3, "top_k": 30}}}', "unknown topk;"),
@@ -88,18 +83,7 @@ def test_file_round_trip_is_exact_byte_stable_and_holds_exceptions_only(tmp_path
         ("[]", "the file is list"),
         ("{", "not JSON"),
         (None, "cannot be read"),
-    ],
-)
-def test_bad_file_names_the_culprit(tmp_path, content, culprit):
-    path = tmp_path / "hand_over.json"
-    if content is not None:
-        path.write_text(content)
-    with pytest.raises(SettingsError, match=rf"hand_over\.json: .*{culprit}"):
-        load_hand_overs(path)
-
-
-def test_the_packaged_file_is_valid_and_without_one_the_defaults_hold(monkeypatch):
-    assert find_hand_overs() is None or find_hand_overs().name == "hand_over.json"
-    assert set(load_hand_overs()) == set(names())
-    monkeypatch.setattr("epiprior.estimators.handover.find_hand_overs", lambda: None)
-    assert load_hand_overs()["magsac++"]["paper"] == default_hand_over("magsac++", "paper")
+    ):
+        path.unlink() if content is None else path.write_text(content)
+        with pytest.raises(SettingsError, match=rf"hand_over\.json: .*{culprit}"):
+            load_hand_overs(path)

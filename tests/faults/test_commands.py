@@ -16,16 +16,6 @@ from epiprior.io import read_colmap_features
 from pictures import save, texture
 
 
-@pytest.fixture
-def library(monkeypatch):
-    return FakeLibrary(monkeypatch)
-
-
-@pytest.fixture
-def images(tmp_path):
-    return [save(tmp_path / f"Photo {i} of 3.png", texture(1024, 768, i)) for i in (1, 2, 3)]
-
-
 def test_output_closed_early_is_said():
     command = [sys.executable, "-m", "epiprior.cli", "estimators"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
@@ -35,20 +25,24 @@ def test_output_closed_early_is_said():
 
 
 @pytest.mark.parametrize("command", ["estimate", "match", "draw"])
-def test_working_size_and_features_are_set_on_the_command_line(library, images, tmp_path, command):
-    out = {"match": ["--out", tmp_path / "m.csv"], "draw": ["--out", tmp_path / "f.png"]}
-    rest = out.get(command, [])
+def test_working_size_and_features_are_set_on_the_command_line(tmp_path, monkeypatch, command):
+    library, out = (
+        FakeLibrary(monkeypatch),
+        {"match": ["--out", tmp_path / "m.csv"], "draw": ["--out", tmp_path / "f.png"]},
+    )
+    images = [save(tmp_path / f"Photo {i} of 2.png", texture(1024, 768, i)) for i in (1, 2)]
+    call = (command, *images, *out.get(command, []))
     options = ["--max-image-size", 512, "--features", "colmap-sift", "--max-features", 100, "--preset", "paper"]
-    result = run(command, *images[:2], *rest, *options)
+    result = run(*call, *options)
     assert result.exit_code == 0, result.output
     settings = [given["settings"] for _, given in library.calls if "settings" in given][-1]
     paper = epiprior.presets.find_preset("paper")
     wanted = replace(paper.features, max_image_size=512, detector="colmap-sift", max_keypoints=100)
     assert settings == replace(paper, features=wanted)
-    small = run(command, *images[:2], *rest, "--max-image-size", 5)
+    small = run(*call, "--max-image-size", 5)
     assert small.exit_code == 2
     assert "max_image_size is 5, must" in small.stderr
-    assert run(command, *images[:2], *rest, "--features", "orb").exit_code == 2
+    assert run(*call, "--features", "orb").exit_code == 2
 
 
 @pytest.mark.parametrize("table", ["keypoints", "descriptors"])

@@ -13,7 +13,7 @@ import epiprior
 from epiprior import ImageError, estimate_fundamental
 from epiprior.draw.pictures import draw_matches
 from epiprior.features.detect import detect_features
-from epiprior.features.images import is_hidden_copy, load_photograph, read_image
+from epiprior.features.images import load_photograph, read_image
 from epiprior.matching.baselines import standard_matches
 from pictures import texture
 
@@ -123,12 +123,6 @@ def test_too_few_matches_name_the_image_and_what_to_set(tmp_path):
     assert f"{strip}: 0 features (darkest " in found.message
     assert "worked at 1024 x 8): set --max-image-size higher, the image is 3840 x 30" in found.message
     assert "; image 2: 0 features" in found.message
-
-
-def test_files_that_macos_leaves_are_known():
-    assert is_hidden_copy("._x.jpg")
-    assert not is_hidden_copy(".x.jpg")
-    assert not is_hidden_copy("_x.jpg")
 
 
 def test_the_library_reads_and_writes_images_in_one_way_only():

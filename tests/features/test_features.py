@@ -1,5 +1,3 @@
-"""Features: found, described at an orientation, and the images they are found in."""
-
 from dataclasses import replace
 
 import cv2
@@ -55,7 +53,7 @@ def test_a_photograph_is_described_once_per_orientation(monkeypatch):
         describe_at_orientation(photo, found, 0.0)[0] = 0
 
 
-def test_a_loaded_photograph_is_taken_as_it_is():
+def test_a_loaded_photograph_is_taken_as_it_is_and_colour_arrays_and_files_agree(tmp_path):
     image = texture(500, 300)
     for limit in (200, 1024):
         photo = load_photograph(image, limit)
@@ -64,6 +62,9 @@ def test_a_loaded_photograph_is_taken_as_it_is():
         load_photograph(photo, 200)
     with pytest.raises(ImageError, match="max_image_size 400"):
         load_photograph(load_photograph(image, 200), 400)
+    colour = np.stack([texture(*SIZE, k) for k in range(3)], axis=2)
+    difference = load_photograph(save(tmp_path / "x.png", colour)).grey.astype(int) - load_photograph(colour).grey
+    assert np.abs(difference).max() <= 1
 
 
 def test_large_images_come_back_in_their_own_pixels():
@@ -77,12 +78,6 @@ def test_large_images_come_back_in_their_own_pixels():
     expected = b.xy @ large.working_map[:2, :2].T + large.working_map[:2, 2]
     np.testing.assert_allclose(large.to_working(b.xy), expected)
     np.testing.assert_allclose(large.to_given(expected), b.xy)
-
-
-def test_colour_arrays_and_files_agree(tmp_path):
-    colour = np.stack([texture(*SIZE, k) for k in range(3)], axis=2)
-    difference = load_photograph(save(tmp_path / "x.png", colour)).grey.astype(int) - load_photograph(colour).grey
-    assert np.abs(difference).max() <= 1
 
 
 @pytest.mark.parametrize("detector", DETECTORS)
@@ -125,13 +120,9 @@ def test_bad_images_are_named(image, message, tmp_path, monkeypatch):
 
 
 def test_twins_are_one_location():
-    found = Features(
-        xy=np.array([[1.0, 2.0], [5.0, 5.0], [1.0, 2.0], [1.0, 2.0]]),
-        scale=np.array([2.0, 1.0, 2.0, 3.0]),
-        orientation_deg=np.array([10.0, 0.0, 200.0, 0.0]),
-        descriptors=np.ones((4, 128), np.float32),
-        image_size=(10, 10),
-    )
+    xy, scale = np.array([[1.0, 2.0], [5.0, 5.0], [1.0, 2.0], [1.0, 2.0]]), np.array([2.0, 1.0, 2.0, 3.0])
+    rest = {"orientation_deg": np.array([10.0, 0.0, 200.0, 0.0]), "descriptors": np.ones((4, 128), np.float32)}
+    found = Features(xy=xy, scale=scale, **rest, image_size=(10, 10))
     first, location = unique_locations(found)
     assert first.tolist() == [0, 1, 3]
     assert location.tolist() == [0, 1, 0, 2]

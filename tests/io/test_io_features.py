@@ -23,13 +23,9 @@ SIFT, ALIKED = pycolmap.FeatureExtractorType.SIFT, pycolmap.FeatureExtractorType
 
 def make_features(n=7, seed=0):
     rng = np.random.default_rng(seed)
-    return Features(
-        xy=rng.uniform(0, 400, (n, 2)),
-        scale=rng.uniform(1, 9, n),
-        orientation_deg=rng.uniform(0, 360, n),
-        descriptors=rng.integers(0, 256, (n, 128)).astype(np.float32),
-        image_size=SIZE,
-    )
+    xy, scale, angle = rng.uniform(0, 400, (n, 2)), rng.uniform(1, 9, n), rng.uniform(0, 360, n)
+    descriptors = rng.integers(0, 256, (n, 128)).astype(np.float32)
+    return Features(xy=xy, scale=scale, orientation_deg=angle, descriptors=descriptors, image_size=SIZE)
 
 
 def colmap_rows(features):
@@ -197,27 +193,21 @@ def test_the_roots_of_hloc_are_undone(tmp_path, root):
     assert np.einsum("ij,ij->i", got, expected).min() > 0.9999
 
 
-@pytest.mark.parametrize(
-    ("dropped", "message"),
-    [
-        (["scales"], "no scales: epiprior needs the scale and the orientation"),
-        (["keypoints"], "no keypoints"),
-        (["descriptors", "scales"], "no descriptors, scales"),
-        (["image_size"], "no image_size"),
-    ],
-)
-def test_h5_without_a_part_says_which(tmp_path, dropped, message):
-    parts = {key: value for key, value in hloc_parts(make_features()).items() if key not in dropped}
-    with pytest.raises(FeatureError, match=rf"a\.h5: image 'a' has {message}"):
-        read_hloc_features(write_h5(tmp_path / "a.h5", {"a": parts}), "a")
-
-
 def test_h5_that_cannot_be_used_says_why(tmp_path):
     parts = hloc_parts(make_features())
     path = write_h5(tmp_path / "a.h5", {"db/1.jpg": parts, "db/2.jpg": parts})
     for name in ("3.jpg", "db/1.jpg/keypoints"):
         with pytest.raises(FeatureError, match=rf"a\.h5: has no image '{name}' among its 2 images"):
             read_hloc_features(path, name)
+    for dropped, message in (
+        (["scales"], "no scales: epiprior needs the scale and the orientation"),
+        (["keypoints"], "no keypoints"),
+        (["descriptors", "scales"], "no descriptors, scales"),
+        (["image_size"], "no image_size"),
+    ):
+        rest = {key: value for key, value in parts.items() if key not in dropped}
+        with pytest.raises(FeatureError, match=rf"c\.h5: image 'a' has {message}"):
+            read_hloc_features(write_h5(tmp_path / "c.h5", {"a": rest}), "a")
     learned = parts | {"descriptors": -parts["descriptors"]}
     swapped, text = parts | {"descriptors": parts["descriptors"].T}, parts | {"oris": ["north"] * 7}
     path = write_h5(tmp_path / "b.h5", {"a": learned, "b": swapped, "c": text})
@@ -234,11 +224,8 @@ def test_h5_that_cannot_be_used_says_why(tmp_path):
             read_hloc_features(tmp_path / file, name)
 
 
-@pytest.mark.parametrize(
-    ("module", "read", "hint"),
-    [("pycolmap", read_colmap_features, "pycolmap>=4,<5"), ("h5py", read_hloc_features, "h5py>=3.13,<4")],
-)
-def test_what_is_not_installed_is_named(tmp_path, monkeypatch, module, read, hint):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(FeatureError, match=f"pip install '{hint}'"):
-        read(tmp_path / "a", "a")
+def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
+    for read, hint in ((read_colmap_features, "pycolmap>=4,<5"), (read_hloc_features, "h5py>=3.13,<4")):
+        monkeypatch.setitem(sys.modules, hint.split(">")[0], None)
+        with pytest.raises(FeatureError, match=f"pip install '{hint}'"):
+            read(tmp_path / "a", "a")

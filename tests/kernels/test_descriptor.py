@@ -65,6 +65,9 @@ def test_the_order_and_the_company_of_the_frames_change_nothing():
     np.testing.assert_array_equal(describe_frames(photo, frames[order]), whole[order])
     np.testing.assert_array_equal(describe_frames(load_photograph(photo.grey), frames[:1]), whole[:1])
     assert describe_frames(photo, frames[:0]).shape == (0, 128)
+    photo = load_photograph(np.full((1, 1), 7, np.uint8))
+    assert [level.shape for level in octave_levels(photo, 0)] == [(1, 1)] * 3
+    assert not describe_frames(photo, np.array([[0.0, 0.0, 50.0, 0.0]])).any()
 
 
 @pytest.mark.parametrize("fixed", [False, True])
@@ -80,9 +83,3 @@ def test_descriptors_are_nearly_those_of_opencv(fixed):
     cosine = (ours * theirs).sum(axis=1) / (np.linalg.norm(ours, axis=1) * np.linalg.norm(theirs, axis=1))
     assert np.median(cosine) > 0.999
     assert np.quantile(cosine, 0.01) > 0.99
-
-
-def test_the_smallest_image_has_a_scale_space():
-    photo = load_photograph(np.full((1, 1), 7, np.uint8))
-    assert [level.shape for level in octave_levels(photo, 0)] == [(1, 1)] * 3
-    assert not describe_frames(photo, np.array([[0.0, 0.0, 50.0, 0.0]])).any()

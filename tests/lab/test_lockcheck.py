@@ -67,7 +67,6 @@ def clone(committed, tmp_path, monkeypatch):
 
 
 def check(folder):
-    """Return the command's exit code and what it says."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of DVC's own packages
         done = CliRunner().invoke(app, ["check-lock", "--root", str(folder)])

@@ -1,5 +1,3 @@
-"""Parameter files: both are read whole, and what is wrong in them is named."""
-
 import functools
 import json
 from dataclasses import asdict, replace
@@ -96,10 +94,7 @@ def test_wrong_types_and_ranges_are_named(key, value, message, load):
     [
         ({"scenes.seed": "7", "truth.plane_px": 0}, r"truth\.plane_px = 0: .*; scenes\.seed = '7': "),
         ({"report.thresholds_px": [5.0, 3.0]}, "report.success_px: 10.0 is not among 5.0, 3.0"),
-        (
-            {"evaluate.other_inputs": {"usac": ["standard", "generalized"]}},
-            "inputs of usac are standard, generalized: exp",
-        ),
+        ({"evaluate.other_inputs": {"usac": ["standard", "generalized"]}}, "of usac are standard, generalized: exp"),
     ],
 )
 def test_settings_that_do_not_agree_are_named_and_all_errors_at_once(changes, message, load):

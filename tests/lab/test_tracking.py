@@ -22,11 +22,8 @@ def run_of(target="two_keypoint", family="tree"):
     exported = family == "tree"
     tags = {"preset": "paper", "family": family, "exported": str(exported).lower()}
     metrics = {"log_loss": 0.25, "log_loss.deviation": float("nan")}
-    values = {
-        "parameters": {"folds": 3},
-        "folds": [{"log_loss": number / 10} for number in range(3)],
-        "rows": ROWS.rows[:5],
-    }
+    folds = [{"log_loss": number / 10} for number in range(3)]
+    values = {"parameters": {"folds": 3}, "folds": folds, "rows": ROWS.rows[:5]}
     onnx = to_onnx(fit("tree", ROWS.rows, ROWS.labels, seed=1)) if exported else None
     pictures = {"reliability.png": Figure()}
     return Run(

@@ -28,14 +28,11 @@ def test_no_features_on_a_side(n1, n2):
     assert similarity_weights(forward, backward).shape == (n1,)
 
 
-def test_distance_ratio_is_of_angles_and_one_between_identical_neighbours():
+def test_distance_ratio_is_of_angles_and_similarity_weight_as_printed():
     d1 = np.array([[1, 0]], np.float32)
     d2 = np.array([[np.cos(0.1), np.sin(0.1)], [np.cos(0.4), np.sin(0.4)]], np.float32)
     assert nearest_neighbours(d1, d2)[0].distance_ratio == pytest.approx([0.25], rel=1e-3)
     assert nearest_neighbours(d1, d1[[0, 0]])[0].distance_ratio.tolist() == [1.0]
-
-
-def test_similarity_weight_as_printed():
     rng = np.random.default_rng(3)
     d1, d2 = unit_rows(rng, 40, 4), unit_rows(rng, 50, 4)
     forward, backward = nearest_neighbours(d1, d2)

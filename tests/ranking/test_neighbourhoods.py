@@ -23,14 +23,11 @@ def test_neighbourhoods_equal_naive(seed):
         assert (np.diff(found.neighbour[part]) > 0).all()
 
 
-def test_the_radius_rule_keeps_the_nearest_up_to_its_cap():
+def test_the_radius_rule_keeps_the_nearest_up_to_its_cap_and_ties_are_broken_by_index():
     xy, scale, label = random_scene(0)
     found = neighbourhoods(xy, scale * 50, label, replace(DEFAULT, nearest=0, nearest_of_cluster=0, max_within=7))
     assert (np.diff(found.start) == 7).all()
     assert set(found.neighbour[:7].tolist()) == set(np.argsort(np.hypot(*(xy - xy[0]).T))[1:8].tolist())
-
-
-def test_nearest_points_break_ties_by_index_and_no_feature_has_neighbours():
     square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     distance, index = nearest_points(square, square[:1], 9)
     assert index.tolist() == [[0, 1, 2, 3, 4]]

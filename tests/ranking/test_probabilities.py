@@ -38,6 +38,12 @@ def test_union_holds_each_match_once_and_kpmd_fills_gaps_as_the_paper_says():
     np.testing.assert_allclose(kpmd.select(COHERENCE_COLUMNS), around, rtol=1e-6)
     pair_wide = np.unique(kpmd.select(("pair_two_keypoints", "pair_support")), axis=0)
     np.testing.assert_allclose(pair_wide, [[0.5, 0.2]], rtol=1e-6)
+    none = np.empty((0, 4), np.float32)
+    table = standard_table(*nearest_neighbours(none, none), (np.empty(0, np.int64),) * 2, 0.9)
+    union, frames = unite(make_putative(set(), 0, 0), table), make_frames(np.empty((0, 2)), np.empty((0, 2)))
+    empty, around = np.empty(0), np.empty((0, 4))
+    kpmd = match_table(union, frames, table, np.empty(0, np.int64), empty, (empty, empty), around, (0.0, 0.0, 0.0))
+    assert kpmd.descriptors.shape == (0, len(MATCH_COLUMNS))
 
 
 def test_columns_of_pairs_best_rivals_and_scores_of_2keypoints_equal_naive():
@@ -58,12 +64,3 @@ def test_columns_of_pairs_best_rivals_and_scores_of_2keypoints_equal_naive():
     mine = [np.concatenate([p[main == row], p[other == row]]) for row in range(10)]
     found = two_keypoint_scores(pairs, p, 10)
     np.testing.assert_allclose(found, [[each.max(initial=0) for each in mine], [each.sum() for each in mine]])
-
-
-def test_nothing_at_all():
-    none = np.empty((0, 4), np.float32)
-    table = standard_table(*nearest_neighbours(none, none), (np.empty(0, np.int64),) * 2, 0.9)
-    union, frames = unite(make_putative(set(), 0, 0), table), make_frames(np.empty((0, 2)), np.empty((0, 2)))
-    empty, around = np.empty(0), np.empty((0, 4))
-    kpmd = match_table(union, frames, table, np.empty(0, np.int64), empty, (empty, empty), around, (0.0, 0.0, 0.0))
-    assert kpmd.descriptors.shape == (0, len(MATCH_COLUMNS))

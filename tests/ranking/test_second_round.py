@@ -33,7 +33,7 @@ def described():
 
 
 def test_the_most_probable_matches_are_described_and_right_ones_are_near_the_best_f(described):
-    rows, _, probability, table, found = described
+    rows, right, probability, table, found = described
     assert found.columns == SECOND_ROUND_COLUMNS
     assert found.descriptors.shape == (150, len(SECOND_ROUND_COLUMNS))
     assert set(rows) == set(np.argsort(-probability)[:150])
@@ -43,7 +43,6 @@ def test_the_most_probable_matches_are_described_and_right_ones_are_near_the_bes
     rival = found.column("best_rival2")[list(rows).index(0)] if 0 in rows else probability[199]
     assert rival == pytest.approx(probability[199], rel=1e-6)
     assert not found.column("best_rival1").any()
-    rows, right, _, _, found = described
     near = np.expm1(found.column("distance_best"))
     assert np.median(near[right[rows]]) < 1.5 < np.median(near[~right[rows]])
     for name in ("refined_votes", "evidence_without"):

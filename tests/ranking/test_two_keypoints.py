@@ -11,7 +11,6 @@ from synthetic import make_frames, make_putative, random_scene
 
 
 def random_pair(seed, m=400):
-    """Two scenes, their putative matches and frames, and the 2keypoint matches."""
     scenes = random_scene(seed), random_scene(seed + 100)
     rng = np.random.default_rng(seed)
     X = make_putative({(int(a), int(b)) for a, b in rng.integers(0, 60, (m, 2))}, 60, 60)
@@ -50,7 +49,7 @@ def test_matches_and_descriptors_equal_naive(seed):
         np.testing.assert_allclose(described.descriptors[row], expected_row, rtol=1e-4, atol=1e-5)
 
 
-def test_extended_columns():
+def test_extended_columns_and_that_a_pair_and_its_swap_count_once():
     _, _, X, frames, main, other = random_pair(1)
     around = np.random.default_rng(2).random((len(X), 4))
     table = describe_two_keypoint_matches(X, frames, main, other, np.zeros(len(main), bool), around)
@@ -63,10 +62,6 @@ def test_extended_columns():
     for name, rows in (("main", main), ("neighbour", other)):
         columns = tuple(f"{column}_{name}" for column in COHERENCE_COLUMNS)
         np.testing.assert_allclose(table.select(columns), around[rows], rtol=1e-6)
-
-
-def test_a_pair_and_its_swap_count_once_and_ties_are_broken():
-    _, _, X, frames, main, other = random_pair(1)
     pairs = describe_two_keypoint_matches(X, frames, main, other, np.zeros(len(main), bool))
     probability = np.round(np.random.default_rng(0).random(len(pairs)), 1)
     chosen = best_two_keypoint_matches(pairs, probability, 30)

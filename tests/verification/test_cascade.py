@@ -1,5 +1,3 @@
-"""The rule of the cascade and its file."""
-
 import json
 from dataclasses import replace
 
@@ -29,25 +27,20 @@ def test_an_estimate_is_judged_by_its_own_numbers():
     assert not CascadeRule(min_confidence=0).keeps(replace(found, status=Status.DEGENERATE))
 
 
-@pytest.mark.parametrize(
-    ("content", "culprit"),
-    [
-        ({"min_confidence": 0.5, "min_spread": 3}, "unknown min_spread; known: min_confidence"),
-        ({"min_confidence": "0.5"}, "min_confidence is '0.5'"),
-        ([], "the file is list"),
-    ],
-)
-def test_bad_file_names_the_culprit(tmp_path, content, culprit):
-    path = tmp_path / "cascade.json"
-    path.write_text(json.dumps(content))
-    with pytest.raises(SettingsError, match=rf"cascade\.json: .*{culprit}"):
-        load_cascade_rule(path)
-
-
-def test_a_file_is_read_as_written_the_packaged_one_is_valid_and_without_one_the_defaults_hold(tmp_path, monkeypatch):
+def test_a_file_is_read_as_written_or_its_culprit_named_the_packaged_one_is_valid_and_without_one_the_defaults_hold(
+    tmp_path, monkeypatch
+):
     rule = CascadeRule(min_confidence=0.35)
     save_cascade_rule(tmp_path / "a.json", rule)
     assert load_cascade_rule(tmp_path / "a.json") == rule
+    for content, culprit in (
+        ({"min_confidence": 0.5, "min_spread": 3}, "unknown min_spread; known: min_confidence"),
+        ({"min_confidence": "0.5"}, "min_confidence is '0.5'"),
+        ([], "the file is list"),
+    ):
+        (tmp_path / "a.json").write_text(json.dumps(content))
+        with pytest.raises(SettingsError, match=rf"a\.json: .*{culprit}"):
+            load_cascade_rule(tmp_path / "a.json")
     assert load_cascade_rule() == load_cascade_rule(find_settings_file("cascade.json"))
     monkeypatch.setattr("epiprior.verification.cascade.find_settings_file", lambda _: None)
     assert load_cascade_rule() == CascadeRule()

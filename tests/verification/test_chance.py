@@ -20,15 +20,12 @@ def test_distinct_count_takes_shared_points_once():
     assert distinct_count(x, x) == 4
 
 
-@pytest.mark.parametrize("threshold_px", [1.0, 3.0])
-def test_rate_is_that_of_fresh_random_matches(threshold_px):
+def test_rate_is_that_of_fresh_random_matches_sees_that_points_are_crowded_and_is_cautious_where_there_are_none():
     pair = make_pair(inliers=200, outliers=200)
     y1, y2 = np.random.default_rng(7).uniform(0, [1024, 768], (2, 200_000, 2))
-    expected = np.mean(sampson_distance(pair.F, y1, y2) < threshold_px)
-    assert chance_rate(pair.F, pair.matches.x1, pair.matches.x2, threshold_px) == pytest.approx(expected, rel=0.35)
-
-
-def test_rate_sees_that_points_are_crowded_and_is_cautious_where_there_are_none():
+    for threshold_px in (1.0, 3.0):
+        expected = np.mean(sampson_distance(pair.F, y1, y2) < threshold_px)
+        assert chance_rate(pair.F, pair.matches.x1, pair.matches.x2, threshold_px) == pytest.approx(expected, rel=0.35)
     pair = make_pair(inliers=400, outliers=0)
     near = np.linalg.norm(pair.matches.x1 - pair.matches.x1[0], axis=1) < 60
     x1, x2 = pair.matches.x1, pair.matches.x2
@@ -47,11 +44,8 @@ def test_log_chance_is_the_binomial_law():
     # Of eight matches there are only eight samples, so that one free supporter says something.
     assert log_chance(8, 8, 0.01, fitted=7) == pytest.approx(math.log10(8 * 0.01))
     assert log_chance(8, 100, 0.01, fitted=7) > 0
-
-
-@pytest.mark.parametrize(("supporters", "matches"), [(0, 0), (7, 7), (7, 100), (2, 5)])
-def test_what_the_sample_explains_anyway_is_chance(supporters, matches):
-    assert log_chance(supporters, matches, 1e-6, fitted=7) >= 0
+    for supporters, matches in ((0, 0), (7, 7), (7, 100), (2, 5)):  # what the sample explains anyway
+        assert log_chance(supporters, matches, 1e-6, fitted=7) >= 0
 
 
 def test_rates_of_their_own_follow_the_law_of_their_sum_beyond_what_made_the_hypothesis():
@@ -66,9 +60,6 @@ def test_rates_of_their_own_follow_the_law_of_their_sum_beyond_what_made_the_hyp
     assert expected_by_chance(np.arange(9) < 2, np.full(9, 0.1), fitted=2) == math.inf
     assert expected_by_chance(np.zeros(0, np.bool_), np.zeros(0), fitted=2) == math.inf
     assert expected_by_chance(np.ones(9, np.bool_), np.ones(9), fitted=2) == math.comb(9, 2)
-
-
-@pytest.mark.parametrize("supporters", [8, 13, 40])
-def test_equal_rates_are_the_binomial_law(supporters):
-    found = expected_by_chance(np.arange(100) < supporters, np.full(100, 0.05), fitted=7)
-    assert found == pytest.approx(HYPOTHESES * binom.sf(supporters - 8, 93, 0.05), rel=1e-9)
+    for supporters in (8, 13, 40):  # equal rates: the binomial law
+        found = expected_by_chance(np.arange(100) < supporters, np.full(100, 0.05), fitted=7)
+        assert found == pytest.approx(HYPOTHESES * binom.sf(supporters - 8, 93, 0.05), rel=1e-9)

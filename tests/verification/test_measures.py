@@ -48,7 +48,7 @@ def test_photographs_are_plausible_at_any_usual_focal_length(focal, seed):
     assert camera_plausibility(fundamental(f, 1.03 * f, seed=seed)[None], SIZES)[0] > 0.85
 
 
-def test_scale_of_f_and_size_of_the_pixels_change_nothing():
+def test_scale_and_size_of_the_pixels_change_nothing_outliers_make_implausible_cameras_without_sizes_nothing_is_known():
     F = fundamental(900.0, 1100.0)
     half = np.diag([2.0, 2.0, 1.0])
     half[:2, 2] = 0.5  # pixel centres: (x + 0.5) / 2 - 0.5
@@ -56,9 +56,6 @@ def test_scale_of_f_and_size_of_the_pixels_change_nothing():
     value = camera_plausibility(F[None], SIZES)
     assert camera_plausibility(-7 * F[None], SIZES) == pytest.approx(value)
     assert camera_plausibility((half.T @ F @ half)[None], small) == pytest.approx(value, rel=1e-9)
-
-
-def test_outliers_make_implausible_cameras_and_without_sizes_nothing_is_known():
     rng = np.random.default_rng(1)
     x1, x2 = (rng.uniform(0, [1024, 768], (200, 8, 2)) for _ in range(2))
     models = np.array([F for a, b in zip(x1, x2, strict=True) if (F := eight_point(a, b)) is not None])

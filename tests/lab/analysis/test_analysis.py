@@ -27,14 +27,8 @@ from epiprior_lab.report import analysis as page
 from epiprior_lab.report import analysis_tables
 from synthetic import make_frames, make_pair
 
-SETTINGS = AnalysisSettings(
-    estimator="usac",
-    others=("prosac",),
-    beyond="magsac++",
-    seeds=(0, 1),
-    two_keypoint_counts=(12,),
-    refined_hypotheses=5,
-)
+ESTIMATORS = {"estimator": "usac", "others": ("prosac",), "beyond": "magsac++"}
+SETTINGS = AnalysisSettings(**ESTIMATORS, seeds=(0, 1), two_keypoint_counts=(12,), refined_hypotheses=5)
 # The model made by hand knows the columns of `default` only.
 PRESETS = {
     "default": replace(find_preset("default"), two_keypoint_count=20),
@@ -52,7 +46,6 @@ def analysed(pairs, model):
 
 
 def of_group(found, name):
-    """Return the tables of one group."""
     return Analysis(**{part: table[table["group"] == name] for part, table in vars(found).items()})
 
 
@@ -121,7 +114,7 @@ def test_oracles_know_the_truth():
     assert analysis_oracles.fit_right(replace(labelled, right=np.zeros_like(pair.right))) is None
 
 
-def test_rows_of_a_pair(analysed):
+def test_rows_and_rankings_of_a_pair(analysed, ranked, pairs):
     complete, easy = (of_group(analysed, name) for name in ("relief", "easy"))
     results = complete.variants
     assert (results.groupby(["pair_id", "experiment", "variant", "ranking", "estimator"]).size() == 2).all()
@@ -151,9 +144,6 @@ def test_rows_of_a_pair(analysed):
     assert (found.keys(), found["ablation"]) == ({"steps", "ablation"}, {"default", "X alone"})
     assert set(easy.variants[easy.variants["estimator"] == "prosac"]["variant"]) == {"sfm", "paper"}
     assert easy.limits.empty
-
-
-def test_rankings_of_a_pair(analysed, ranked, pairs):
     table = of_group(analysed, "relief").precision
     table = table[table["pair_id"] == "relief-0"].set_index(["variant", "ranking"])
     final = ranked.sets[0].one_to_one()
@@ -197,7 +187,7 @@ RATES = {
 }
 
 
-def test_where_successes_are_lost():
+def test_where_successes_are_lost_their_references_and_what_the_pairs_allow():
     at = analysis_tables.lost_table(made_up(RATES), (10.0, 0.5)).set_index(["threshold_px", "estimator"])
     assert list(at.index) == [(t, name) for t in (10.0, 0.5) for name in ("usac", "beem")]
     parts = ["chosen", "missed", "outscored", "hypothesis", "matches"]
@@ -213,6 +203,20 @@ def test_where_successes_are_lost():
     lost = analysis_tables.lost_table(higher, (10.0, 3.0)).set_index(["threshold_px", "estimator"])
     assert lost.loc[(10.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0.6, 0])
     assert lost.loc[(3.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0, 0.6])
+    table = analysis_tables.success_table(made_up(RATES), "usac", thresholds_px=(10.0,), draws=200, seed=0)
+    with_beem = table[table["estimator"] == "beem"].set_index("variant")["difference"]
+    assert with_beem[["default", "true labels"]].tolist() == pytest.approx([np.nan, 3 - 1], nan_ok=True)
+    table = table[(table["estimator"] != "beem")].drop_duplicates("variant").set_index("variant")
+    assert table.loc["standard", "successes"] == pytest.approx(1.2)
+    found = table.loc[["standard", "paper", "default", "right matches"], "difference"].tolist()
+    assert found == pytest.approx([1.2 - 1.8, np.nan, 0.0, 3 - 1.8], nan_ok=True)
+    assert table.loc["default", "difference_low"] < 0 < table.loc["default", "difference_high"]
+    assert analysis_tables.reference_of(("steps", "sfm", "sfm", "beem"), "usac") == ("steps", "paper", "final", "beem")
+    whole = ("ablation", "default", "sfm", "usac")
+    assert analysis_tables.reference_of(("ablation", "K_2kp 50", "sfm", "usac"), "usac") == whole
+    row = analysis_tables.limits_table(made_up(RATES)).iloc[0]
+    names = ["enough_8", "enough_15", "right_in_x", "good_rough"]
+    assert row[names].tolist() == pytest.approx([0.75, 0.25, 12, 0.075])
 
 
 def differences(*rows):
@@ -240,23 +244,6 @@ def test_the_page_says_where_the_whole_is_below_a_part_and_which_variants_differ
     assert "Of the 2 differences ranked by final, this one has an interval that excludes zero: K_2kp 50 on hard" in text
     assert "Of the 1 differences ranked by sfm, none has" in text
     assert "With 8 pairs" in text
-
-
-def test_successes_their_references_and_what_the_pairs_allow():
-    table = analysis_tables.success_table(made_up(RATES), "usac", thresholds_px=(10.0,), draws=200, seed=0)
-    with_beem = table[table["estimator"] == "beem"].set_index("variant")["difference"]
-    assert with_beem[["default", "true labels"]].tolist() == pytest.approx([np.nan, 3 - 1], nan_ok=True)
-    table = table[(table["estimator"] != "beem")].drop_duplicates("variant").set_index("variant")
-    assert table.loc["standard", "successes"] == pytest.approx(1.2)
-    found = table.loc[["standard", "paper", "default", "right matches"], "difference"].tolist()
-    assert found == pytest.approx([1.2 - 1.8, np.nan, 0.0, 3 - 1.8], nan_ok=True)
-    assert table.loc["default", "difference_low"] < 0 < table.loc["default", "difference_high"]
-    assert analysis_tables.reference_of(("steps", "sfm", "sfm", "beem"), "usac") == ("steps", "paper", "final", "beem")
-    whole = ("ablation", "default", "sfm", "usac")
-    assert analysis_tables.reference_of(("ablation", "K_2kp 50", "sfm", "usac"), "usac") == whole
-    row = analysis_tables.limits_table(made_up(RATES)).iloc[0]
-    names = ["enough_8", "enough_15", "right_in_x", "good_rough"]
-    assert row[names].tolist() == pytest.approx([0.75, 0.25, 12, 0.075])
 
 
 def evaluated():
@@ -293,14 +280,10 @@ def test_everything_is_written_twice_alike(analysed, pairs, tmp_path):
     names = {"pair_id": {"p0": "relief-0", "p1": "blank-0"}, "group": {"f": "relief"}}
     found = Tables(**{name: table.replace(names) for name, table in vars(evaluated()).items()})
     params = load_study()
-    own = {
-        "estimators": ("usac", *params.analysis.estimators[1:]),
-        "table_quantiles": (0.0, 0.5),
-        "refined_hypotheses": 5,
-    }
-    params = replace(
-        params, analysis=replace(params.analysis, **own), report=replace(params.report, bootstrap_draws=100)
-    )
+    own = {"table_quantiles": (0.0, 0.5), "refined_hypotheses": 5}
+    own["estimators"] = ("usac", *params.analysis.estimators[1:])
+    report = replace(params.report, bootstrap_draws=100)
+    params = replace(params, analysis=replace(params.analysis, **own), report=report)
     written = []
     for out in (tmp_path / "one", tmp_path / "two"):
         page.write_analysis(Analysis.read([tmp_path / "data"]), found, {"relief": pairs}, out, params)

@@ -4,7 +4,6 @@ import pytest
 
 from bags_fakes import camera
 from collections_fakes import views
-from epiprior_lab.pairsets import read_pair_set
 from epiprior_lab.pairsets.files import CAMERA_COLUMNS, PAIR_COLUMNS, camera_row, write_table
 
 COUNT = 4
@@ -21,8 +20,3 @@ def side_by_side(tmp_path_factory):
     write_table(root / "pairs.csv", PAIR_COLUMNS, rows)
     write_table(root / "cameras.csv", CAMERA_COLUMNS, [camera_row(name, camera(k)) for k, name in enumerate(names)])
     return root
-
-
-@pytest.fixture(scope="session")
-def side_pairs(side_by_side):
-    return read_pair_set(side_by_side).pairs

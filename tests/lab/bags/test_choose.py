@@ -19,7 +19,7 @@ def linked(bag, pairs):
     return reached == own
 
 
-def test_bags_hang_together_and_differ():
+def test_bags_hang_together_and_differ_and_a_stranger_is_of_another_set():
     sets = {"long": chain("long", 9), "short": chain("short", 3)}
     bags = plain_bags(sets, PARAMS.bags)
     assert {(bag.group, bag.size) for bag in bags} == {("long", 3), ("long", 5), ("short", 3)}  # none of 5 in three
@@ -33,6 +33,10 @@ def test_bags_hang_together_and_differ():
     alone = plain_bags({"long": sets["long"]}, PARAMS.bags)
     assert [bag.name for bag in alone] == [bag.name for bag in bags if bag.group == "long"]
     assert [v.image for v in alone[0].views] == [v.image for v in bags[0].views]
+    found = stranger_bags(bags, sets, PARAMS.bags)
+    assert [(bag.group, bag.kind, bag.size, len(bag.views)) for bag in found] == [("long", STRANGER, 5, 6)]
+    assert sorted(view.place for view in found[0].views) == ["long/row"] * 5 + ["short/row"]
+    assert stranger_bags(bags, {"long": sets["long"]}, PARAMS.bags) == []
 
 
 def test_a_small_part_of_a_scene_gives_no_bag_and_hides_none():
@@ -42,15 +46,6 @@ def test_a_small_part_of_a_scene_gives_no_bag_and_hides_none():
     assert 5 in sizes
     cameras = [replace(pair, camera1=None, camera2=None) for pair in pairs]
     assert plain_bags({"x": cameras}, PARAMS.bags) == []
-
-
-def test_a_stranger_is_of_another_set():
-    sets = {"long": chain("long", 9), "short": chain("short", 3)}
-    bags = plain_bags(sets, PARAMS.bags)
-    found = stranger_bags(bags, sets, PARAMS.bags)
-    assert [(bag.group, bag.kind, bag.size, len(bag.views)) for bag in found] == [("long", STRANGER, 5, 6)]
-    assert sorted(view.place for view in found[0].views) == ["long/row"] * 5 + ["short/row"]
-    assert stranger_bags(bags, {"long": sets["long"]}, PARAMS.bags) == []
 
 
 @pytest.mark.parametrize(

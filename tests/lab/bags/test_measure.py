@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bags_fakes import PARAMS, K, camera
+from bags_fakes import PARAMS, camera
 from epiprior.collection.model import Model
 from epiprior_lab.bags.choose import PLAIN, Bag, View
 from epiprior_lab.bags.measure import judge, measure_bag
+from epiprior_lab.pairsets import read_pair_set
 from synthetic import rotation
 
 NAMES = [f"0{k}.jpg" for k in range(5)]
@@ -19,7 +20,6 @@ MAPPER = PARAMS.mapper
 
 
 def photographed(places="aaaaa"):
-    """Return the photographs of a bag whose cameras stand on a bow, by name."""
     turns = [rotation((0.2, 1, 0), 8 * k) for k in range(len(places))]
     return {
         name: View(image=Path(name), camera=camera(k**1.5, R=R), place=place)
@@ -33,36 +33,25 @@ def model_of(named, seen=NAMES, turned=()):
     away = rotation((0, 1, 0), 25)
     cameras = [named[name].camera for name in seen]
     wrong = [away if name in turned else np.eye(3) for name in seen]
-    return Model(
-        folder=Path(),
-        seen=dict.fromkeys(seen, 10),
-        rotations=np.array([w @ c.R @ turn.T for w, c in zip(wrong, cameras, strict=True)]),
-        centres=np.array([scale * turn @ c.centre + shift for c in cameras]),
-        points=np.zeros((0, 3)),
-        colours=np.zeros((0, 3), np.uint8),
-        tracks=Counter({2: 30, 5: 10}),
-        error_px=0.5,
-    )
+    rotations = np.array([w @ c.R @ turn.T for w, c in zip(wrong, cameras, strict=True)])
+    centres = np.array([scale * turn @ c.centre + shift for c in cameras])
+    about = {"points": np.zeros((0, 3)), "colours": np.zeros((0, 3), np.uint8), "tracks": Counter({2: 30, 5: 10})}
+    about |= {"folder": Path(), "seen": dict.fromkeys(seen, 10), "error_px": 0.5}
+    return Model(rotations=rotations, centres=centres, **about)
 
 
-def test_the_true_model_is_right_in_any_frame():
+def test_the_true_model_is_right_in_any_frame_what_is_not_registered_or_looks_elsewhere_is_not():
     found = judge(model_of(photographed()), photographed(), MAPPER)
     assert found["accuracy"] == pytest.approx(1.0)
     counts = {"images": 5, "registered": 5, "wrong": 0, "others": 0, "strangers": 0, "tracks": 40}
     assert {name: found[name] for name in counts} == counts
     assert found["track_length"] == pytest.approx(2.75)
-
-
-def test_what_is_not_registered_counts_as_wrong_in_accuracy_alone():
     found = judge(model_of(photographed(), NAMES[:3]), photographed(), MAPPER)
     assert (found["registered"], found["wrong"]) == (3, 0)
     assert found["accuracy"] == pytest.approx(3 / 10)
     nothing = judge(None, photographed(), MAPPER)
     assert (nothing["registered"], nothing["accuracy"], nothing["tracks"]) == (0, 0.0, 0)
     assert np.isnan(nothing["track_length"])
-
-
-def test_a_camera_that_looks_elsewhere_is_wrong():
     found = judge(model_of(photographed(), turned=NAMES[:1]), photographed(), MAPPER)
     assert (found["registered"], found["wrong"]) == (5, 1)
     assert found["accuracy"] == pytest.approx(6 / 10)
@@ -99,9 +88,9 @@ def true_matches(count):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["colmap", "snn", "cascade", "aliked"])
-def test_every_method_maps_views_whose_cameras_are_known(side_pairs, method):
+def test_every_method_maps_views_whose_cameras_are_known(side_by_side, method):
     pytest.importorskip("pycolmap")
-    images = sorted({image for pair in side_pairs for image in (pair.image1, pair.image2)})
+    images = sorted({image for pair in read_pair_set(side_by_side).pairs for image in (pair.image1, pair.image2)})
     views = tuple(View(image=image, camera=camera(k), place="wall") for k, image in enumerate(images))
     bag = Bag(group="side", scene="wall", kind=PLAIN, size=len(views), number=0, views=views)
     own = {"learned": true_matches(len(views)), "learned_s": 100.0} if method == "aliked" else {}
@@ -118,7 +107,3 @@ def test_every_method_maps_views_whose_cameras_are_known(side_pairs, method):
     again = measure_bag(bag=bag, method=method, mapper=MAPPER, **own)
     timeless = {"features_s": 0.0, "matching_s": 0.0, "mapping_s": 0.0}
     assert [replace(r, **timeless) for r in again] == [replace(r, **timeless) for r in records]
-
-
-def test_the_true_intrinsics_are_those_of_the_views():
-    assert (camera(0).K == K).all()

@@ -1,5 +1,3 @@
-"""The parameters of the benchmark on bags: read whole, and what is wrong is named."""
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[3]
 SHARES = "group,pair_id,right_share\nside,p0,0.1\nside,p1,0.1\nside,p2,0.1\nother,p0,0.9\n"
 
 
-@pytest.fixture
-def root(tmp_path, side_by_side, monkeypatch):
+def test_from_a_pair_set_to_a_page(tmp_path, side_by_side, monkeypatch):
+    pytest.importorskip("pycolmap")
     document = yaml.safe_load((ROOT / PATH).read_text(encoding="utf-8"))
     document["bags"] |= {"groups": ["side"], "per_scene": {3: 1}, "stranger_size": 3}
     document["twins"] |= {"styles": 1, "pairs": 1}
@@ -30,11 +30,6 @@ def root(tmp_path, side_by_side, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("EPIPRIOR_WORKERS", "1")
     monkeypatch.setattr(sys, "argv", ["sfm"])
-    return tmp_path
-
-
-def test_from_a_pair_set_to_a_page(root, monkeypatch):
-    pytest.importorskip("pycolmap")
     sfm.main()
     bags = pd.read_csv("reports/sfm/tables/bags.csv")
     assert bags[["kind", "size", "method"]].value_counts().to_dict() == {

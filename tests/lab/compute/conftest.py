@@ -101,7 +101,6 @@ def work(work_module):
 
 @pytest.fixture
 def change(work):
-    """Return a function that writes the module anew."""
 
     def change(text):
         Path(work.__file__).write_text(text, encoding="utf-8")

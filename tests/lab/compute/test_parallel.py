@@ -53,7 +53,6 @@ for workers in (1, 2):
 
 
 def tasks_of(name, values, **payload):
-    """Return a task per value, named after it, which gets it under `name`."""
     return [Task(name=f"pair {value}", payload={name: value} | payload) for value in values]
 
 
@@ -72,10 +71,15 @@ def doubled(work, tmp_path):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_results_keep_the_order_of_the_tasks(work, workers, tmp_path):
+def test_results_keep_the_order_of_the_tasks_and_the_callers_arrays_stay(work, workers, tmp_path):
     tasks = tasks_of("value", (5, 1, 4, 2))
     assert map_tasks(work.double, tasks, workers=workers, description="doubling") == [10, 2, 8, 4]
     assert map_tasks(work.double, [], workers=workers, description="nothing", store=tmp_path / "store") == []
+    arrays = [np.zeros(300_000) for _ in range(2)]
+    tasks = [Task(name=str(i), payload={"array": array}) for i, array in enumerate(arrays)]
+    results = map_tasks(work.fill, tasks, workers=workers, description="fill")
+    assert all((result == 7).all() for result in results)
+    assert all((array == 0).all() for array in arrays)
 
 
 def test_stored_results_are_used_again_and_the_store_does_not_grow_with_new_keys(doubled, change, tmp_path):
@@ -108,10 +112,13 @@ def test_a_damaged_result_is_computed_again(doubled, tmp_path, damage):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_failure_names_the_task_and_keeps_what_was_ready(doubled, workers):
+def test_a_failure_even_one_that_cannot_be_pickled_names_the_task_and_keeps_what_was_ready(doubled, workers, work):
     with pytest.raises(TaskError, match=r"doubling: task 'pair -1' failed: ValueError: -1 is negative"):
         doubled([1, 2, 3, 4, 5, 6, 7, -1], workers=workers)
     assert doubled([1, 2, 3, 4], workers=workers) == ([2, 4, 6, 8], [])
+    tasks = [Task(name=name) for name in "ab"]
+    with pytest.raises(TaskError, match="odd: task 'a' failed: Odd: one and two"):
+        map_tasks(work.raise_odd, tasks, workers=workers, description="odd")
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -126,13 +133,6 @@ def test_the_first_failure_is_named_and_nothing_is_started_after_it(work, tmp_pa
     assert len(started) < 12
     names = {path.name.split("-")[0] for path in store.iterdir()}
     assert names == {str(v) for v in started} - {"3", "5"}  # what had been handed out was let end
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_an_error_that_cannot_be_pickled_is_told(work, workers):
-    tasks = [Task(name=name) for name in "ab"]
-    with pytest.raises(TaskError, match="odd: task 'a' failed: Odd: one and two"):
-        map_tasks(work.raise_odd, tasks, workers=workers, description="odd")
 
 
 def test_an_interrupt_goes_through_and_a_killed_worker_is_told_and_what_was_ready_is_kept(work, tmp_path):
@@ -193,7 +193,7 @@ def test_one_and_two_workers_give_the_same_bytes(work, tmp_path):
     assert stored[0] == stored[1]
 
 
-def test_tasks_see_one_thread_and_the_caller_gets_its_threads_back(work):
+def test_tasks_see_one_thread_and_the_caller_gets_its_threads_and_environment_back(work, monkeypatch):
     before = cv2.getNumThreads(), numba.get_num_threads()
     tasks = [Task(name=str(i)) for i in range(6)]
     alone = map_tasks(work.threads, tasks, workers=1, description="threads")
@@ -202,24 +202,12 @@ def test_tasks_see_one_thread_and_the_caller_gets_its_threads_back(work):
     assert os.getpid() not in {row[0] for row in spread}
     assert {tuple(row[1:]) for row in spread} == {(1, 1, 1)}
     assert (cv2.getNumThreads(), numba.get_num_threads()) == before
-
-
-def test_single_threaded_restores_the_environment(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
     with single_threaded():
         assert os.environ["OMP_NUM_THREADS"] == os.environ["MKL_NUM_THREADS"] == "1"
         assert all(pool["num_threads"] == 1 for pool in threadpoolctl.threadpool_info())
     assert (os.environ["OMP_NUM_THREADS"], os.environ.get("MKL_NUM_THREADS")) == ("3", None)
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_arrays_are_writable_and_the_callers_own_stay(work, workers):
-    arrays = [np.zeros(300_000) for _ in range(2)]
-    tasks = [Task(name=str(i), payload={"array": array}) for i, array in enumerate(arrays)]
-    results = map_tasks(work.fill, tasks, workers=workers, description="fill")
-    assert all((result == 7).all() for result in results)
-    assert all((array == 0).all() for array in arrays)
 
 
 @dataclass(frozen=True)

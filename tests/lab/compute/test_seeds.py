@@ -1,5 +1,3 @@
-"""Seeds of children."""
-
 import pytest
 
 from epiprior.errors import SettingsError

@@ -1,25 +1,16 @@
-"""Files that a module imports."""
-
 import pytest
 
 from epiprior_lab.compute.source_graph import source_files
 
-FILES = {
-    "pack/__init__.py": "",
+EMPTY = "pack/__init__ pack/base pack/idle other/__init__ other/deep/__init__ other/idle lazy/one lazy/two"
+FILES = {f"{name}.py": "" for name in EMPTY.split()} | {
     "pack/step.py": "import other.deep.leaf\nfrom pack import helper, missing\nimport numpy as np\n",
     "pack/helper.py": "def f():\n    from . import late\n",
     "pack/late.py": "from .sub.inner import thing\n",
     "pack/sub/__init__.py": "from ..base import Base\n",
     "pack/sub/inner.py": "from pack import step\n",
-    "pack/base.py": "",
-    "pack/idle.py": "",
-    "other/__init__.py": "",
-    "other/deep/__init__.py": "",
     "other/deep/leaf.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from pack import idle\n",
-    "other/idle.py": "",
     "lazy/__init__.py": "def __getattr__(name):\n    ...\n",
-    "lazy/one.py": "",
-    "lazy/two.py": "",
     "uses_module.py": "from lazy.one import name\n",
     "uses_name.py": "from lazy import name\n",
     "uses_package.py": "import lazy\n",
@@ -35,21 +26,17 @@ def reached(tmp_path):
     return lambda name: {file.relative_to(tmp_path).as_posix() for file in source_files(tmp_path / name, tmp_path)}
 
 
-def test_imports_are_followed_through_packages_functions_relative_names_and_cycles(reached):
+def test_imports_are_followed_through_packages_functions_relative_names_and_cycles_and_from_outside(
+    reached, tmp_path, tmp_path_factory
+):
     everything = {name for name in FILES if name.startswith(("pack/", "other/"))}
     assert reached("pack/step.py") == everything - {"pack/idle.py", "other/idle.py"}
     assert reached("pack/sub/inner.py") >= {"pack/sub/__init__.py", "pack/__init__.py", "pack/base.py"}
     assert reached("other/idle.py") == {"other/idle.py", "other/__init__.py"}
-
-
-def test_a_lazy_package_counts_whole_unless_a_module_of_it_is_named(reached):
     whole = {"lazy/__init__.py", "lazy/one.py", "lazy/two.py"}
     assert reached("uses_name.py") == whole | {"uses_name.py"}
     assert reached("uses_package.py") == whole | {"uses_package.py"}
     assert reached("uses_module.py") == {"uses_module.py", "lazy/__init__.py", "lazy/one.py"}
-
-
-def test_a_file_outside_the_root_is_followed_into_it(reached, tmp_path, tmp_path_factory):
     script = tmp_path_factory.mktemp("elsewhere") / "script.py"
     script.write_text("from other import idle\n", encoding="utf-8")
     other = tmp_path / "other"

@@ -1,13 +1,11 @@
-"""Success rates per pair and their paired comparison."""
-
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from epiprior_lab.evaluation.compare import ALL, POSE, Rates, group_masks
-from synthetic_tables import APART, photograph_tables, study_tables
+from epiprior_lab.evaluation.compare import POSE, Rates
+from synthetic_tables import photograph_tables, study_tables
 
 
 def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs_and_runs_are_unique():
@@ -38,19 +36,3 @@ def test_a_pair_without_runs_or_without_the_truth_is_a_failure():
     runs = tables.runs.query("group == 'fox' and estimator == 'usac' and input == 'default'")
     angles = runs[["rotation_deg", "translation_deg"]].max(axis=1, skipna=False).fillna(np.inf)
     np.testing.assert_array_equal(poses.values("usac", "default")[tables.pairs["group"] == "fox"].ravel(), angles)
-
-
-def test_groups_leave_out_what_is_apart():
-    masks = group_masks(photograph_tables().pairs, apart=APART)
-    assert list(masks) == ["easy", "medium", "hard", ALL, "strecha", "fox", "scannet15"]
-    assert masks[ALL].sum() == 12
-    assert not (masks["hard"] & masks["scannet15"]).any()
-    assert masks["scannet15"].sum() == 6
-    assert masks["easy"].sum() + masks["medium"].sum() == 5  # one pair of strecha has no labels
-
-
-def test_runs_are_unique():
-    tables = study_tables(pairs=1)
-    double = replace(tables, runs=pd.concat([tables.runs, tables.runs.iloc[:1]]))
-    with pytest.raises(ValueError, match="duplicate"):
-        Rates(double).values("usac", "standard")

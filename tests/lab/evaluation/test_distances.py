@@ -40,7 +40,7 @@ def naive_distance(F, other, sizes, points, seed):
     return np.mean(totals)
 
 
-def test_distance_is_that_of_the_naive_twin_zero_for_the_same_and_symmetric():
+def test_distance_is_that_of_the_naive_twin_zero_for_the_same_and_symmetric_and_points_lie_on_lines():
     F, other = (fundamental_from_cameras(*two_cameras(t=t)) for t in ((-2.0, 0.3, 0.4), (-2.0, 0.6, 0.2)))
     found = symmetric_distance(F, other, SIZES, points=4000, seed=1)
     assert found == pytest.approx(naive_distance(F, other, SIZES, 3000, 2), rel=0.06)
@@ -53,9 +53,6 @@ def test_distance_is_that_of_the_naive_twin_zero_for_the_same_and_symmetric():
     # Every epipolar line of image 2 is y = -50, outside: nothing in common.
     below = np.outer([0.0, 1.0, 50.0], [0.0, 0.0, 1.0])
     assert symmetric_distance(below, below, SIZES) == 1.0
-
-
-def test_points_on_lines():
     lines = np.array([[1.0, 0, -20], [0, 1, -30], [1, 1, -10], [1, 0, 5], [0, 0, 1]])
     x, met = points_on_lines(lines, (100, 80), np.array([0.0, 0.5, 0.5, 0.5, 0.5]))
     assert met.tolist() == [True, True, True, False, False]

@@ -36,7 +36,7 @@ def protocol(relief, tiny_model):
     return Protocol(inputs=INPUTS, seeds=SEEDS, hand_overs=hand_overs, peers=relief.parent / "peers")
 
 
-def test_runs_of_a_pair(pairs, protocol, tmp_path):
+def test_runs_of_a_pair_of_which_only_what_changed_is_computed_again(pairs, protocol, tmp_path, monkeypatch):
     tables = evaluate(pairs, protocol, group="relief", store=tmp_path / "store")
     table = tables.runs
     number = sum(len(names) for names in INPUTS.values()) * len(SEEDS)
@@ -68,18 +68,14 @@ def test_runs_of_a_pair(pairs, protocol, tmp_path):
     evaluate(pairs, protocol, group="relief", store=tmp_path / "store").write(tmp_path / "again")
     for name in RECORDS:
         assert (tmp_path / "again" / f"{name}.csv").read_bytes() == (tmp_path / "out" / f"{name}.csv").read_bytes()
-
-
-def test_only_what_changed_is_computed_again(pairs, protocol, tmp_path, monkeypatch):
-    evaluate(pairs[:1], protocol, group="relief", store=tmp_path)
     calls = note_calls(monkeypatch, runs, "estimate_from_matches")
     monkeypatch.setattr(inputs, "detect_pair", None)  # nothing is matched again
     hand_overs = {**protocol.hand_overs, "usac": {**protocol.hand_overs["usac"], "snn": HandOver(threshold_px=2.5)}}
-    evaluate(pairs[:1], replace(protocol, hand_overs=hand_overs), group="relief", store=tmp_path)
+    evaluate(pairs[:1], replace(protocol, hand_overs=hand_overs), group="relief", store=tmp_path / "store")
     assert ({how["estimator"] for _, how in calls}, len(calls)) == ({"usac"}, 3 * len(SEEDS))
     calls.clear()
     unused = {**hand_overs, "magsac++": {**hand_overs["magsac++"], "snn": HandOver(threshold_px=2.5)}}
-    evaluate(pairs[:1], replace(protocol, hand_overs=unused), group="relief", store=tmp_path)
+    evaluate(pairs[:1], replace(protocol, hand_overs=unused), group="relief", store=tmp_path / "store")
     assert not calls
 
 

@@ -1,5 +1,3 @@
-"""Pair sets of one's own, and links to those of the benchmark."""
-
 import io
 from dataclasses import replace
 
@@ -14,12 +12,8 @@ from epiprior_lab.evaluation.sets import link_sets
 from synthetic_tables import study_tables
 
 
-@pytest.fixture
-def datasets(relief):
-    return relief.parent
-
-
-def test_sets_are_found_and_linked(datasets, tmp_path):
+def test_sets_are_found_and_linked(relief, tmp_path):
+    datasets = relief.parent
     assert own.find_sets(datasets) == own.find_sets(datasets / "relief") == [datasets / "relief"]
     with pytest.raises(SettingsError, match="'strecha'"):
         own.find_sets(datasets, ["relief", "strecha"])
@@ -47,24 +41,24 @@ def test_sets_are_found_and_linked(datasets, tmp_path):
     assert (folder / "relief").resolve() == (datasets / "relief").resolve()
 
 
-def test_a_folder_is_evaluated(datasets, model_folder, tiny_model, tmp_path, monkeypatch):
+def test_a_folder_is_evaluated(relief, model_folder, tiny_model, tmp_path, monkeypatch):
     monkeypatch.setattr(own, "find_model", lambda name: model_folder)
     monkeypatch.setenv("EPIPRIOR_WORKERS", "1")
     console = Console(record=True, width=100, file=io.StringIO())
     where = {"out": tmp_path / "out", "store": tmp_path / "store", "console": console}
-    tables = own.evaluate_folder(datasets, seeds=2, estimators=("usac",), **where)
+    tables = own.evaluate_folder(relief.parent, seeds=2, estimators=("usac",), **where)
     text = console.export_text()
     assert "relief, 2 pairs" in text
     assert "all sets" not in text
     assert {path.stem for path in (tmp_path / "out").glob("*.csv")} == set(RECORDS)
     runs = Tables.read([tmp_path / "out"]).runs
     assert len(runs) == len(tables.runs) == 2 * 3 * 2
-    relief = runs[runs["pair_id"] == "relief-0"]
-    assert (relief["status"] == "ok").all()
-    assert (relief["error_px"] < 3).all()
+    own_runs = runs[runs["pair_id"] == "relief-0"]
+    assert (own_runs["status"] == "ok").all()
+    assert (own_runs["error_px"] < 3).all()
     for bad, message in (({"seeds": 0}, "seeds is 0"), ({"estimators": ("usak",)}, "'usak'")):
         with pytest.raises(SettingsError, match=message):
-            own.evaluate_folder(datasets, **bad)
+            own.evaluate_folder(relief.parent, **bad)
 
 
 def test_the_summary_counts_failures():

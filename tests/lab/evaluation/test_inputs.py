@@ -1,5 +1,3 @@
-"""The matches of a pair, made in every way, and the files that hold them."""
-
 from dataclasses import fields
 from pathlib import Path
 
@@ -39,7 +37,15 @@ def test_matches_do_not_depend_on_estimators_and_an_unknown_input_is_named(pairs
         inputs.match_pair(pairs[0], ("lowe",))
 
 
-def test_features_are_detected_once_for_all_inputs(pairs, tiny_model, monkeypatch):
+def test_the_printed_method_is_on_features_of_its_own_and_others_are_detected_once_for_all_inputs(
+    pairs, tiny_model, monkeypatch
+):
+    found = inputs.match_pair(pairs[0], ("standard", "paper-standard", "fast", "default"))
+    least = find_preset("paper").features.min_scale
+    assert found.sets["paper-standard"][0].scale1.min() >= least > found.sets["standard"][0].scale1.min()
+    alone = rank_matches(pairs[0].image1, pairs[0].image2, preset="fast").sets
+    assert [len(each) for each in found.sets["fast"]] == [len(each) for each in alone]
+    assert found.features["standard"] == found.features["default"] != found.features["paper-standard"]
     wanted = {name: inputs.match_pair(pairs[0], (name,)).sets[name] for name in ("snn", "generalized", "default")}
     detected = note_calls(monkeypatch, detection, "detect_features")
     monkeypatch.setattr(epiprior.matching.pair, "detect_features", None)
@@ -51,16 +57,9 @@ def test_features_are_detected_once_for_all_inputs(pairs, tiny_model, monkeypatc
                 np.testing.assert_array_equal(getattr(a, column.name), getattr(b, column.name))
 
 
-def test_the_printed_method_and_its_baseline_are_on_features_of_their_own(pairs, tiny_model):
-    found = inputs.match_pair(pairs[0], ("standard", "paper-standard", "fast", "default"))
-    least = find_preset("paper").features.min_scale
-    assert found.sets["paper-standard"][0].scale1.min() >= least > found.sets["standard"][0].scale1.min()
-    alone = rank_matches(pairs[0].image1, pairs[0].image2, preset="fast").sets
-    assert [len(each) for each in found.sets["fast"]] == [len(each) for each in alone]
-    assert found.features["standard"] == found.features["default"] != found.features["paper-standard"]
-
-
-def test_matches_of_a_peer_are_kept_beside_our_own(pairs, relief, tmp_path):
+def test_matches_of_a_peer_are_kept_beside_our_own_may_have_features_of_their_own_and_damaged_ones_are_named(
+    pairs, relief, tmp_path
+):
     peers = relief.parent / "peers" / "relief"
     files = inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path, peers=peers)[0]
     (found,), own = files.read().sets["twin"], files.features["standard"]
@@ -71,9 +70,6 @@ def test_matches_of_a_peer_are_kept_beside_our_own(pairs, relief, tmp_path):
     assert found.image_sizes == files.read().sets["standard"][0].image_sizes
     with pytest.raises(DatasetError, match="matches of twin"):
         inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path)
-
-
-def test_matches_of_a_peer_may_have_features_of_their_own_and_damaged_ones_are_named(relief, tmp_path):
     good = dict(np.load(relief.parent / "peers" / "relief" / "twin" / "relief-0.npz"))
     for change, message in (
         ({"scale1": good["scale1"][:-1]}, "scale1 has shape"),
@@ -88,8 +84,7 @@ def test_matches_of_a_peer_may_have_features_of_their_own_and_damaged_ones_are_n
             inputs.read_peer_matches(tmp_path / "q.npz")
     with pytest.raises(DatasetError, match="absent"):
         inputs.read_peer_matches(tmp_path / "absent.npz")
-    whole = np.load(relief.parent / "peers" / "relief" / "twin" / "relief-0.npz")
-    values = {name: whole[name] for name in ("x1", "x2", "feature1", "feature2")}
+    values = {name: good[name] for name in ("x1", "x2", "feature1", "feature2")}
     np.savez(tmp_path / "q.npz", **values, features=np.array([2048, 1500]))
     found, counts = inputs.read_peer_matches(tmp_path / "q.npz")
     assert counts == (2048, 1500)

@@ -17,14 +17,10 @@ def match_set(n, probability=None, **columns):
     return make_matches(np.zeros((n, 2)), np.zeros((n, 2)), probability, **known)
 
 
-def test_orders_of_rankings_are_walked_one_to_one():
-    matches = match_set(
-        5,
-        distance_ratio=np.array([1, 0.7, 0.5, 1, 0.6]),
-        similarity_weight=np.array([0, 0.2, 0, 0.4, 0.2]),
-        two_keypoint_probability=np.array([0.1, 0, 0.9, 0.3, 0]),
-        supporting_matrices=np.array([7, 7, 0, 9, 1]),
-    )
+def test_orders_are_walked_one_to_one_and_the_hypothesis_with_the_most_probable_hundred_is_ranked():
+    columns = {"distance_ratio": [1, 0.7, 0.5, 1, 0.6], "similarity_weight": [0, 0.2, 0, 0.4, 0.2]}
+    columns |= {"two_keypoint_probability": [0.1, 0, 0.9, 0.3, 0], "supporting_matrices": [7, 7, 0, 9, 1]}
+    matches = match_set(5, **{name: np.array(values) for name, values in columns.items()})
     orders = {name: list(index) for name, index in rankings.ranking_orders(matches).items()}
     assert tuple(orders) == RANKINGS
     wanted = {"lowe": [2, 4, 1], "blogs": [3, 1, 4], "2keypoint": [2, 3, 0], "sfm": [3, 0, 1, 4]}
@@ -32,9 +28,6 @@ def test_orders_of_rankings_are_walked_one_to_one():
     matches = match_set(5, feature1=np.array([3, 3, 1, 2, 0]), feature2=np.array([0, 1, 1, 0, 4]))
     assert rankings.walked(matches, np.array([0, 1, 2, 3, 4])).tolist() == [0, 2, 4]
     assert rankings.walked(matches, np.array([4, 3, 2, 1, 0])).tolist() == [4, 3, 2]
-
-
-def test_the_hypothesis_with_the_most_probable_hundred_is_ranked():
     few, many = match_set(50, 0.9), match_set(300, 0.5)
     assert rankings.best_hypothesis((few, many)) is many
     assert rankings.best_hypothesis((many, few)) is many
@@ -44,7 +37,7 @@ def test_the_hypothesis_with_the_most_probable_hundred_is_ranked():
     assert rankings.best_hypothesis((unranked,)) is unranked
 
 
-def test_records_of_a_pair(pairs, tiny_model, tmp_path):
+def test_records_of_a_pair_with_and_without_labels(pairs, tiny_model, tmp_path):
     [files] = inputs.store_matches(pairs[:1], ("standard", "snn", "generalized", "default"), tmp_path)
     found = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=TruthSettings())
     assert [type(record) for record in found[:2]] == [PairRecord, RankingRecord]
@@ -74,11 +67,8 @@ def test_records_of_a_pair(pairs, tiny_model, tmp_path):
     assert (bins["input"] == "default").all()
     assert (bins["bin"].tolist(), bins["count"].sum()) == (list(range(20)), len(ranked))
     assert bins["probability"].sum() == pytest.approx(ranked.probability.sum())
-
-
-def test_a_pair_without_labels_has_no_rankings(pairs, tmp_path):
-    [files] = inputs.store_matches(pairs[:1], ("standard",), tmp_path)
-    settings = TruthSettings(one_plane=("relief-0",))
+    settings = TruthSettings(one_plane=("relief-0",))  # which leaves no labels
+    files = files.only(("standard",))
     (about,) = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=settings)
     assert (about.labels, about.difficulty) == ("", "")
     assert np.isnan((about.right_share, about.expected_roll_deg)).all()  # nothing is ranked

@@ -1,5 +1,3 @@
-"""Typed rows and the tables that are made of them."""
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +7,7 @@ from epiprior_lab.evaluation.records import RANKS, RECORDS, PairRecord, Tables, 
 from synthetic_tables import photograph_tables, study_tables, timing_table
 
 
-def test_tables_are_read_as_they_were_written(tmp_path):
+def test_tables_are_read_as_they_were_written_and_names_stay_text(tmp_path):
     for name, tables in (("study", study_tables(pairs=2)), ("photographs", photograph_tables())):
         tables.write(tmp_path / name)
         assert {path.stem for path in (tmp_path / name).iterdir()} == set(RECORDS)
@@ -18,9 +16,6 @@ def test_tables_are_read_as_they_were_written(tmp_path):
             pd.testing.assert_frame_equal(getattr(again, kind), getattr(tables, kind), rtol=1e-6)
     both = Tables.read([tmp_path / "study", tmp_path / "photographs"])
     assert len(both.runs) == len(study_tables(pairs=2).runs) + len(photograph_tables().runs)
-
-
-def test_names_stay_text_and_what_is_not_known_is_empty(tmp_path):
     photograph_tables().write(tmp_path)
     lines = (tmp_path / "pairs.csv").read_text().splitlines()
     assert lines[0].startswith("group,pair_id,scene,features1,features2,labels,points,right_share,difficulty")

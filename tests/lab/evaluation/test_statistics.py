@@ -39,7 +39,7 @@ def test_weights_are_multinomial_by_pair_and_draw_whole_scenes():
     assert (weights[:, 1] == 0).any()
 
 
-def test_intervals_equal_a_naive_bootstrap(rng):
+def test_intervals_equal_a_naive_bootstrap_and_bad_input_is_named(rng):
     without, with_step = rng.integers(0, 6, (2, 9)) / 5
     got = st.paired_bootstrap(without, with_step, draws=500, seed=7)
     counts = np.random.default_rng(7).multinomial(9, np.full(9, 1 / 9), size=500)
@@ -60,19 +60,13 @@ def test_intervals_equal_a_naive_bootstrap(rng):
         assert interval.low == pytest.approx(ordered[math.ceil(0.025 * 500) - 1])
         assert interval.high == pytest.approx(ordered[math.ceil(0.975 * 500) - 1])
     assert st.bootstrap_mean(without, draws=500, seed=7) == got.without
-
-
-@pytest.mark.parametrize(
-    ("call", "culprit"),
-    [
+    for call, culprit in (
         (lambda: st.bootstrap_weights(0, draws=5, seed=0), "0 observations"),
         (lambda: st.bootstrap_weights(2, draws=5, seed=0, groups=["a"]), "1 groups"),
         (lambda: st.paired_bootstrap([1], [1, 2], draws=5, seed=0), r"\(1,\) and \(2,\)"),
-    ],
-)
-def test_bad_input_names_the_culprit(call, culprit):
-    with pytest.raises(SettingsError, match=culprit):
-        call()
+    ):
+        with pytest.raises(SettingsError, match=culprit):
+            call()
 
 
 def test_success_curve_and_the_area_below_it(rng):
@@ -92,7 +86,7 @@ def test_success_curve_and_the_area_below_it(rng):
     assert st.area_under_success_curve(errors, 10.0) == pytest.approx(naive, abs=1e-3)
 
 
-def test_ranking_measures(rng):
+def test_ranking_measures_and_calibration_bins(rng):
     right = rng.random(300) < 0.3
     precisions = [sum(right[: i + 1]) / (i + 1) for i in range(300) if right[i]]
     assert measures.average_precision(right) == pytest.approx(sum(precisions) / len(precisions))
@@ -104,9 +98,6 @@ def test_ranking_measures(rng):
     assert (np.diff(ranks) > 0).all()
     np.testing.assert_array_equal(measures.right_among_first(right, ranks), [sum(right[:r]) for r in ranks])
     np.testing.assert_array_equal(measures.log_ranks(1), [1])
-
-
-def test_calibration_bins(rng):
     p = np.append(rng.random(500), [0.0, 1.0])
     right = rng.random(502) < p**2
     bins = measures.calibration_bins(p, right, bins=10)

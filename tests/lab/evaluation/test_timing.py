@@ -1,5 +1,3 @@
-"""Wall times of the whole pipeline and of the cascade."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""Export of what training writes to a model folder that the library loads."""
-
 import json
 
 import numpy as np
@@ -40,7 +38,7 @@ def training(tmp_path):
     return folder
 
 
-def test_the_library_loads_the_folder_and_its_manifest_and_card(training, tmp_path):
+def test_the_library_loads_the_folder_and_its_card_and_stale_files_are_replaced(training, tmp_path):
     folder = tmp_path / "models" / "some"
     export_model(training, folder, "paper")
     model = load_model(folder)
@@ -62,6 +60,11 @@ def test_the_library_loads_the_folder_and_its_manifest_and_card(training, tmp_pa
     assert "| precision at 0.5 | 0.5000 | - | - | - |" in card
     assert "12 rendered scenes" in card
     assert "{" not in card
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert sorted(before) == ["README.md", "manifest.json", "match.onnx", "two_keypoint.onnx"]
+    (folder / "match.onnx").write_bytes(b"old")
+    export_model(training, folder, "paper")
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def test_a_model_that_gives_other_probabilities_is_not_exported(training, tmp_path):
@@ -71,12 +74,3 @@ def test_a_model_that_gives_other_probabilities_is_not_exported(training, tmp_pa
     np.savez(training / "parity.npz", **parity)
     with pytest.raises(ExportError, match=r"match.onnx: differs from the fitted classifier by 2e-06"):
         export_model(training, tmp_path / "models" / "paper", "paper")
-
-
-def test_a_folder_is_the_same_again_and_stale_files_are_replaced(training, tmp_path):
-    export_model(training, tmp_path / "paper", "paper")
-    before = {path.name: path.read_bytes() for path in (tmp_path / "paper").iterdir()}
-    assert sorted(before) == ["README.md", "manifest.json", "match.onnx", "two_keypoint.onnx"]
-    (tmp_path / "paper" / "match.onnx").write_bytes(b"old")
-    export_model(training, tmp_path / "paper", "paper")
-    assert {path.name: path.read_bytes() for path in (tmp_path / "paper").iterdir()} == before

@@ -28,7 +28,7 @@ def equal(a, b):
     return all(np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
 
 
-def test_presets_together_give_what_each_gives_alone(pair, monkeypatch):
+def test_presets_together_give_what_each_gives_alone_and_stored_rows_are_read_as_they_were(pair, monkeypatch, tmp_path):
     alone = {name: [rows.rows_to_bytes(each) for each in rows.extract_rows(pair, (name,))[name]] for name in PRESETS}
     detected = note_calls(monkeypatch, detection, "detect_features")
     monkeypatch.setattr(epiprior.matching.pair, "detect_features", None)
@@ -36,6 +36,14 @@ def test_presets_together_give_what_each_gives_alone(pair, monkeypatch):
     assert len(detected) == 4
     assert {name: [rows.rows_to_bytes(each) for each in tables] for name, tables in together.items()} == alone
     assert [len(together[name]) for name in PRESETS] == [2, 1]  # `default` has one roll hypothesis where they agree
+    (stored,) = together["default"]
+    (tmp_path / "rows.npz").write_bytes(rows.rows_to_bytes(stored))
+    read = rows.read_rows(tmp_path / "rows.npz")
+    assert rows.rows_to_bytes(read) == rows.rows_to_bytes(stored)
+    assert read.two_keypoints.columns == stored.two_keypoints.columns
+    probability = np.full(len(stored.two_keypoints), 0.5)
+    for a, b in zip(rows.match_rows(read, probability), rows.match_rows(stored, probability), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -54,14 +62,3 @@ def test_rows_are_those_of_the_library_with_their_labels(pair, name):
         frames = candidates.frames
         wanted = label_matches(pair, frames.x1, frames.x2, frames.scale1, frames.scale2)
         np.testing.assert_array_equal(each.two_keypoint_labels, wanted[found.main] & wanted[found.other])
-
-
-def test_stored_rows_are_read_as_they_were(pair, tmp_path):
-    (stored,) = rows.extract_rows(pair, ("default",))["default"]
-    (tmp_path / "rows.npz").write_bytes(rows.rows_to_bytes(stored))
-    read = rows.read_rows(tmp_path / "rows.npz")
-    assert rows.rows_to_bytes(read) == rows.rows_to_bytes(stored)
-    assert read.two_keypoints.columns == stored.two_keypoints.columns
-    probability = np.full(len(stored.two_keypoints), 0.5)
-    for a, b in zip(rows.match_rows(read, probability), rows.match_rows(stored, probability), strict=True):
-        np.testing.assert_array_equal(a, b)

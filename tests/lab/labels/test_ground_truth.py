@@ -11,11 +11,11 @@ from epiprior.errors import FeatureError, SettingsError
 from epiprior_lab import pairsets
 from epiprior_lab.labels import ground_truth
 from epiprior_lab.labels.ground_truth import LabelSettings, errors_px, label_matches, reference_fundamental
-from epiprior_lab.pairsets import DatasetError, Pair, depth_at, encode_depth, read_pair_set, reproject, view_difference
+from epiprior_lab.pairsets import DatasetError, depth_at, encode_depth, read_pair_set, reproject, view_difference
 from epiprior_lab.scenes.render import render_depth
 from epiprior_lab.stages import ground_truth as stage
 from epiprior_lab.stages import render as render_stage
-from worlds import HEIGHT, WIDTH, camera_at, room
+from worlds import HEIGHT, WIDTH, camera_at, camera_pair, room
 
 CAMERAS = camera_at(-2.5), camera_at(2.5, roll_deg=15.0)
 
@@ -31,8 +31,7 @@ def pair(tmp_path, depths):
     paths = (tmp_path / "1.npz", tmp_path / "2.npz")
     for path, depth in zip(paths, depths, strict=True):
         path.write_bytes(encode_depth(depth))
-    values = {"camera1": CAMERAS[0], "camera2": CAMERAS[1], "difficulty": "", "depth_paths": paths}
-    return Pair(pair_id="p", scene="s", image1=tmp_path, image2=tmp_path, **values)
+    return camera_pair(tmp_path, CAMERAS, depth_paths=paths)
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +60,12 @@ def test_true_matches_are_right_and_moved_ones_wrong_but_for_large_features(pair
     assert not label(pair, x1, moved, sigma=2.0).any()
     assert label(pair, x1, moved, sigma=20.0).mean() > 0.9
     assert label(pair, x1, moved, sigma=2.0, tolerance_px=10.0).mean() > 0.9
+    for name, value in {"tolerance_px": 0, "epipolar_px": -1, "tolerance_sigma": -1, "depth_tolerance": 1.0}.items():
+        with pytest.raises(SettingsError, match=name):
+            LabelSettings(**{name: value})
 
 
-def test_what_the_other_camera_cannot_see_and_sky_and_points_outside_are_wrong(pair, depths):
+def test_what_the_other_camera_cannot_see_is_wrong_but_a_feature_beside_the_rim_of_its_object_right(pair, depths):
     y, x = np.mgrid[5:HEIGHT:5, 5:WIDTH:5]
     x1 = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
     depth = depth_at(depths[0], x1)
@@ -78,9 +80,6 @@ def test_what_the_other_camera_cannot_see_and_sky_and_points_outside_are_wrong(p
     assert label(pair, x[:0], x[:0]).shape == (0,)
     with pytest.raises(FeatureError, match="x2"):
         label(pair, x, x * np.nan)
-
-
-def test_a_feature_beside_the_rim_of_its_object_is_right(pair, depths):
     over = np.isfinite(depths[0][:-1]) & (1.2 * depths[0][1:] < depths[0][:-1])  # wall above the top of the box
     row, column = np.argwhere(over)[10]
     beside, on_box = np.array([[column, row]], dtype=float), np.array([[column, row + 1]], dtype=float)
@@ -90,15 +89,9 @@ def test_a_feature_beside_the_rim_of_its_object_is_right(pair, depths):
     assert not label(pair, beside - [0.0, 6.0], meant - [0.0, 6.0]).any()
 
 
-@pytest.mark.parametrize(
-    "change", [{"tolerance_px": 0}, {"epipolar_px": -1}, {"tolerance_sigma": -1}, {"depth_tolerance": 1.0}]
-)
-def test_impossible_tolerances_are_refused(change):
-    with pytest.raises(SettingsError, match=next(iter(change))):
-        LabelSettings(**change)
-
-
-def test_without_depth_the_epipolar_line_decides(pair, points):
+def test_without_depth_the_epipolar_line_decides_and_control_points_alone_give_nearly_the_f_of_the_cameras(
+    pair, points, tmp_path
+):
     x1, x2 = points
     without = dataclasses.replace(pair, depth_paths=None)
     assert label(without, x1, x2).all()
@@ -106,9 +99,6 @@ def test_without_depth_the_epipolar_line_decides(pair, points):
     moved = x2 + [0.0, 5.0]
     np.testing.assert_array_equal(label(without, x1, moved), errors_px(F, x1, moved) < 2.0)
     assert (~label(without, x1, moved)).mean() > 0.5
-
-
-def test_control_points_alone_give_nearly_the_f_of_the_cameras(pair, points, tmp_path):
     rng, path = np.random.default_rng(0), tmp_path / "p.csv"
     only = dataclasses.replace(pair, camera1=None, camera2=None, depth_paths=None, control_points_path=path)
     pairsets.write_control_points(path, *(x + rng.normal(0, 0.3, x.shape) for x in points))

@@ -49,15 +49,23 @@ def session(images, tmp_path):
     return LabelSession(*images, tmp_path / "points.csv")
 
 
+@contextlib.contextmanager
+def serving(session):
+    """Serve a session from a thread, which must have ended after the block."""
+    with LabelServer(session) as running:
+        running.thread = threading.Thread(target=running.serve, daemon=True)
+        running.thread.start()
+        yield running
+        if running.thread.is_alive():
+            running.shutdown()
+        running.thread.join(5)
+        assert not running.thread.is_alive()
+
+
 @pytest.fixture
 def server(session):
-    with LabelServer(session) as running:
-        thread = threading.Thread(target=running.serve, daemon=True)
-        thread.start()
+    with serving(session) as running:
         yield running
-        running.shutdown()
-        thread.join(5)
-        assert not thread.is_alive()
 
 
 def ask(server, route="", body=None, *, path=None, method=None, **headers):
@@ -84,15 +92,12 @@ def post(server, route, value, **headers):
     return json.loads(data)
 
 
-def content(server):
-    return server.session.out.read_bytes() if server.session.out.exists() else None
-
-
 def refused(server, status, *request, **how):
     """Return the message of a refusal, after a check that it came with `status` and that nothing was written."""
-    before = content(server)
+    folder = server.session.out.parent
+    before = {path: path.read_bytes() for path in folder.iterdir()}
     found, _, data = ask(server, *request, **how)
-    assert (found, content(server)) == (status, before)
+    assert (found, {path: path.read_bytes() for path in folder.iterdir()}) == (status, before)
     return json.loads(data)["error"]
 
 
@@ -100,7 +105,7 @@ def state_of(server):
     return json.loads(get(server, "state")[1])
 
 
-def test_the_page_and_its_files_are_there_and_need_nothing_from_elsewhere(server):
+def test_the_page_its_files_and_the_images_are_served_and_need_nothing_from_elsewhere(server, images, tmp_path):
     headers, page = get(server)
     assert headers["Content-Type"].startswith("text/html")
     assert "default-src 'none'" in headers["Content-Security-Policy"]
@@ -113,9 +118,6 @@ def test_the_page_and_its_files_are_there_and_need_nothing_from_elsewhere(server
             waiting += [part.decode() for part in re.findall(rb'from "\./([\w.]+)"', seen[name])]
     assert len(seen) == 6
     assert not re.search(rb"https?://|@import|url\(", b"".join([page, *seen.values()]))
-
-
-def test_the_images_are_served_as_opencv_sees_them(server, images, tmp_path):
     for number, path in enumerate(images, start=1):
         headers, data = get(server, f"image/{number}")
         assert headers["Content-Type"] == "image/png"
@@ -270,7 +272,7 @@ def test_the_pair_set_around_the_file_decides_whose_it_is(images, tmp_path):
     assert LabelSession(*images, out / "q.csv", force=True).state()["points"] == []
 
 
-def test_a_damaged_record_and_points_outside_the_images_are_errors(session, images, tmp_path):
+def test_a_damaged_record_points_outside_the_images_and_what_else_is_wrong_are_named(session, images, tmp_path):
     session.save(POINTS, "")
     for record in ("", "{}", '{"image1": 1, "image2": 2}', "[1, 2]"):
         (tmp_path / "points.pair.json").write_text(record)
@@ -279,9 +281,6 @@ def test_a_damaged_record_and_points_outside_the_images_are_errors(session, imag
     (tmp_path / "p.csv").write_text("x1,y1,x2,y2\n1,2,3,4\n500,2,3,4\n")
     with pytest.raises(LabelError, match=r"p\.csv, point 2: \(500, 2\) lies outside image 1"):
         LabelSession(*images, tmp_path / "p.csv")
-
-
-def test_what_is_wrong_is_named(images, tmp_path):
     a, b = images
     out = tmp_path / "points.csv"
     for name, data in (("text.jpg", b"no image"), ("empty.png", b""), ("copy.png", a.read_bytes())):

@@ -3,16 +3,16 @@
 Where the dots of the pictures lie is read off screenshots, so that nothing of the page's own arithmetic is believed.
 """
 
-import threading
+import contextlib
 
 import numpy as np
 import pytest
 
 from browser import MISSING, Browser, find_browser
-from epiprior_lab.labels.by_hand.server import LabelServer
 from epiprior_lab.labels.by_hand.session import LabelSession
 from epiprior_lab.pairsets import write_control_points
 from epiprior_lab.pairsets.files import read_control_points
+from lab.labels.test_label import serving
 from pictures import save, texture
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(find_browser() is None, reason=MISSING)]
@@ -47,41 +47,20 @@ def browser(chromium):
 
 
 @pytest.fixture
-def images(tmp_path):
-    """Two images of different sizes, 640 x 480 and 420 x 320, with dots."""
-    paths = []
+def serve(tmp_path):
+    """Return a function that serves two images of different sizes with dots, and ``points.csv``."""
+    images = []
     for side, (width, height) in enumerate(((640, 480), (420, 320))):
         picture = np.repeat(texture(width, height, seed=side)[:, :, None], 3, axis=2) // 3 + 80
         for colour, middles in DOTS.items():
             x, y = middles[side]
             picture[y - 2 : y + 3, x - 2 : x + 3] = colour
-        paths.append(save(tmp_path / f"{side + 1}.png", picture))
-    return paths
-
-
-@pytest.fixture
-def serve(images, tmp_path):
-    """Return a function that starts a server on ``points.csv``."""
-    running = []
-
-    def start():
-        server = LabelServer(LabelSession(*images, tmp_path / "points.csv"))
-        server.thread = threading.Thread(target=server.serve, daemon=True)
-        server.thread.start()
-        running.append(server)
-        return server
-
-    yield start
-    for server in running:
-        if server.thread.is_alive():
-            server.shutdown()
-        server.thread.join(5)
-        server.__exit__()
+        images.append(save(tmp_path / f"{side + 1}.png", picture))
+    with contextlib.ExitStack() as running:
+        yield lambda: running.enter_context(serving(LabelSession(*images, tmp_path / "points.csv")))
 
 
 class Hand:
-    """What a person does on the page."""
-
     def __init__(self, browser):
         self.browser = browser
 
@@ -91,7 +70,6 @@ class Hand:
         return self.browser.run(f"(box => [box.x, box.y, box.width, box.height])({box})")
 
     def scale(self, side):
-        """Return how many CSS pixels a pixel of the image takes, as the page says."""
         return float(self.browser.text(f"#pane{side + 1} .where").split("·")[-1].strip(" %")) / 100
 
     def find(self, colour, side):
@@ -129,7 +107,6 @@ class Hand:
         return self.browser.run(f"[...document.querySelectorAll('#list li')].map(row => {cells})")
 
     def save(self):
-        """Save with the keyboard."""
         self.browser.key("s", "Ctrl")
         self.browser.wait(SAVED)
 

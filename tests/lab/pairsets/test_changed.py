@@ -75,14 +75,7 @@ def test_pixels_and_truth_change_alike(root, tmp_path, change):
             assert sampson_distance(pair.fundamental(), x1, x2).max() < 1e-5
 
 
-def test_pairs_are_chosen_by_rule():
-    pairs = [SimpleNamespace(pair_id=f"{k}") for k in range(EVERY + 2)]
-    sets = {"a": pairs, "b": pairs[:EVERY]}
-    assert list(chosen_pairs(sets)) == ["a-0", f"a-{EVERY}", f"b-{EVERY - 2}"]
-    assert list(chosen_pairs(sets, without=["0"])) == ["a-1", f"a-{EVERY + 1}"]
-
-
-def test_sets_are_made_anew_and_depth_maps_refused(root, tmp_path):
+def test_pairs_are_chosen_by_rule_sets_made_anew_and_depth_maps_refused(root, tmp_path):
     assert make_changed_sets(("fox", "given"), ("given",), folder=tmp_path) == []
     (made,) = make_changed_sets(("fox", "turned90"), ("given",), without=("cameras",), folder=tmp_path)
     assert [pair.pair_id for pair in read_pair_set(made).pairs] == ["given-control_points"]
@@ -93,3 +86,7 @@ def test_sets_are_made_anew_and_depth_maps_refused(root, tmp_path):
     write_pair_set(tmp_path / "given", [files("p")])
     with pytest.raises(DatasetError, match="depth maps"):
         write_changed_set(tmp_path / "out", {"given-p": read_pair_set(tmp_path / "given").pairs[0]}, "turned90")
+    pairs = [SimpleNamespace(pair_id=f"{k}") for k in range(EVERY + 2)]
+    sets = {"a": pairs, "b": pairs[:EVERY]}
+    assert list(chosen_pairs(sets)) == ["a-0", f"a-{EVERY}", f"b-{EVERY - 2}"]
+    assert list(chosen_pairs(sets, without=["0"])) == ["a-1", f"a-{EVERY + 1}"]

@@ -11,9 +11,7 @@ from epiprior_lab.pairsets import PairFiles, check_pair_set, known_sets, read_pa
 from epiprior_lab.pairsets.cameras import Camera, CameraError, fundamental_from_cameras, reproject
 from epiprior_lab.pairsets.files import DatasetError, encode_depth, image_size, npz_bytes, read_depth, write_matrix
 from epiprior_lab.scenes.photography import encode_jpeg
-from worlds import HEIGHT, WIDTH, camera_at
-
-CAMERAS = camera_at(-1.0), camera_at(1.5, roll_deg=10)
+from worlds import CAMERAS, HEIGHT, WIDTH, camera_at, seen_by_both
 
 
 def files(pair_id="p", **changes):
@@ -35,12 +33,6 @@ def replace_in(path, old, new):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-
-
-def seen_by_both(count, cameras=CAMERAS):
-    """Points as both cameras of a pair see them."""
-    x1 = np.random.default_rng(0).uniform(80, 160, (count, 2))
-    return x1, reproject(*cameras, x1, np.linspace(9, 14, count))[0]
 
 
 def test_what_is_written_is_read_back(root, tmp_path):
@@ -65,7 +57,7 @@ def test_what_is_written_is_read_back(root, tmp_path):
         pair.depth_views()
 
 
-def test_control_points_are_found_in_the_set_or_in_another_folder(root, tmp_path):
+def test_control_points_are_found_in_the_set_or_in_another_folder_and_checked(root, tmp_path):
     x1, x2 = np.round(seen_by_both(2), 6)
     with pytest.raises(DatasetError, match=r"'p' of .* has no control points"):
         read_pair_set(root).pairs[0].control_points()
@@ -75,6 +67,20 @@ def test_control_points_are_found_in_the_set_or_in_another_folder(root, tmp_path
         read_pair_set(root, tmp_path / "nowhere")
     pairsets.write_control_points(root / "control_points" / "p.csv", x1[:0], x2[:0])
     assert [x.shape for x in read_pair_set(root).pairs[0].control_points()] == [(0, 2), (0, 2)]
+    points = root / "control_points" / "p.csv"
+    x1, x2 = seen_by_both(20)
+    pairsets.write_control_points(points, x1, x2)
+    read_pair_set(root)
+    pairsets.write_control_points(points, x2, x1)
+    with pytest.raises(DatasetError, match=r"pairs\.csv, line 2: the F of the cameras .* its control points .*p\.csv"):
+        read_pair_set(root)
+    for row, message in (
+        ("1,2,three,4", "x2 = 'three'"),
+        ("1,240,3,500", "point 3, 500 lies outside image 2, 320 x 240"),
+    ):
+        points.write_text(f"x1,y1,x2,y2\n1,2,3,4\n{row}\n")
+        with pytest.raises(DatasetError, match=rf"p\.csv, line 3: {message}"):
+            read_pair_set(root)
 
 
 def test_depth_and_other_arrays_are_kept_and_the_same_each_time(tmp_path):
@@ -121,7 +127,7 @@ def test_damage_is_named_with_file_and_line(root, file, old, new, message):
         read_pair_set(root)
 
 
-def test_damage_in_what_is_read_later_is_named_too(root):
+def test_damage_in_depths_and_images_is_named_too(root):
     done = []
     assert check_pair_set(root, on_pair=lambda: done.append(1)).name == "family"
     assert len(done) == 2
@@ -132,26 +138,6 @@ def test_damage_in_what_is_read_later_is_named_too(root):
     for look, message in ((first.depths, damaged), (second.depths, small), (lambda: check_pair_set(root), damaged)):
         with pytest.raises(DatasetError, match=message):
             look()
-
-
-def test_control_points_are_checked_when_a_set_is_read(root):
-    points = root / "control_points" / "p.csv"
-    x1, x2 = seen_by_both(20)
-    pairsets.write_control_points(points, x1, x2)
-    read_pair_set(root)
-    pairsets.write_control_points(points, x2, x1)
-    with pytest.raises(DatasetError, match=r"pairs\.csv, line 2: the F of the cameras .* its control points .*p\.csv"):
-        read_pair_set(root)
-    for row, message in (
-        ("1,2,three,4", "x2 = 'three'"),
-        ("1,240,3,500", "point 3, 500 lies outside image 2, 320 x 240"),
-    ):
-        points.write_text(f"x1,y1,x2,y2\n1,2,3,4\n{row}\n")
-        with pytest.raises(DatasetError, match=rf"p\.csv, line 3: {message}"):
-            read_pair_set(root)
-
-
-def test_an_image_of_another_size_than_its_camera_is_named(root):
     small = encode_jpeg(np.zeros((HEIGHT, 100, 3), np.uint8), 90)
     for content, message in (
         (small, r"pairs\.csv, line 3: .*q_2\.jpg is 100 x 240, .* 320 x 240"),
@@ -173,7 +159,7 @@ def test_a_matrix_as_ground_truth(root, kind, truth):
     with pytest.raises(DatasetError, match=r"p\.txt: the matrix (is singular|has a rank below 2)"):
         read_pair_set(root)
     cameras = camera_at(-1.0), camera_at(1.5)
-    (x1, x2), matrix = seen_by_both(20, cameras), fundamental_from_cameras(*cameras)
+    (x1, x2), matrix = seen_by_both(20, cameras=cameras), fundamental_from_cameras(*cameras)
     if kind == "homography":
         matrix = np.array([[0.9, 0.1, 20.0], [-0.1, 1.1, 3.0], [1e-4, 0, 1.0]])
         x2 = transfer(matrix, x1)
@@ -193,12 +179,24 @@ def test_a_matrix_as_ground_truth(root, kind, truth):
         read_pair_set(root)
 
 
-def test_transfer_distance_counts_the_larger_side():
+def test_transfer_distance_counts_the_larger_side_and_reprojection_goes_there_and_back():
     H = np.diag([2.0, 2.0, 1.0])
     x1 = np.array([[10.0, 0.0], [10.0, 0.0]])
     np.testing.assert_allclose(transfer_distance(H, x1, np.array([[20.0, 0.0], [22.0, 0.0]])), [0.0, 2.0])
     np.testing.assert_allclose(transfer_distance(np.linalg.inv(H), np.array([[22.0, 0.0]]), x1[:1]), [2.0])
     assert np.isinf(transfer_distance(np.array([[1.0, 0, 0], [0, 1, 0], [-0.1, 0, 1]]), x1[:1], x1[:1])).all()
+    cameras = camera_at(-2.0), camera_at(2.0, roll_deg=30)
+    rng = np.random.default_rng(0)
+    x1, depth1 = rng.uniform(0, 200, (50, 2)), rng.uniform(4, 20, 50)
+    x2, depth2 = reproject(*cameras, x1, depth1)
+    back, depth = reproject(*cameras[::-1], x2, depth2)
+    np.testing.assert_allclose(back, x1, atol=1e-9)
+    np.testing.assert_allclose(depth, depth1)
+    assert sampson_distance(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-9
+    assert fundamental_from_cameras(camera_at(1.0), camera_at(1.0, roll_deg=40)) is None  # one centre decides no F
+    x2, depth2 = reproject(camera_at(0.0), camera_at(0.0, z=-3.0), np.array([[160.0, 120.0]]), np.array([5.0]))
+    assert np.isnan(x2).all()  # behind the camera there is no pixel
+    assert depth2[0] < 0
 
 
 def test_turned_photographs_have_the_size_that_opencv_sees(tmp_path):
@@ -232,32 +230,14 @@ def test_a_folder_that_is_no_pair_set_is_named(tmp_path):
             pairsets.write_pair_set(tmp_path / "set", pairs)
 
 
-def test_reprojection_there_and_back():
-    cameras = camera_at(-2.0), camera_at(2.0, roll_deg=30)
-    rng = np.random.default_rng(0)
-    x1, depth1 = rng.uniform(0, 200, (50, 2)), rng.uniform(4, 20, 50)
-    x2, depth2 = reproject(*cameras, x1, depth1)
-    back, depth = reproject(*cameras[::-1], x2, depth2)
-    np.testing.assert_allclose(back, x1, atol=1e-9)
-    np.testing.assert_allclose(depth, depth1)
-    assert sampson_distance(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-9
-    assert fundamental_from_cameras(camera_at(1.0), camera_at(1.0, roll_deg=40)) is None  # one centre decides no F
-    x2, depth2 = reproject(camera_at(0.0), camera_at(0.0, z=-3.0), np.array([[160.0, 120.0]]), np.array([5.0]))
-    assert np.isnan(x2).all()  # behind the camera there is no pixel
-    assert depth2[0] < 0
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_impossible_cameras_are_refused():
+    good = {"K": np.diag([100.0, 100.0, 1.0]), "R": np.eye(3), "t": np.zeros(3), "width": 10, "height": 10}
+    for change, message in (
         ({"R": 2 * np.eye(3)}, "not a rotation"),
         ({"R": np.diag([1.0, 1.0, -1.0])}, "not a rotation"),
         ({"t": np.zeros(2)}, "t has shape"),
         ({"t": np.array([0, np.nan, 0])}, "t has shape"),
         ({"height": 0}, "image size"),
-    ],
-)
-def test_impossible_cameras_are_refused(change, message):
-    good = {"K": np.diag([100.0, 100.0, 1.0]), "R": np.eye(3), "t": np.zeros(3), "width": 10, "height": 10}
-    with pytest.raises(CameraError, match=message):
-        Camera(**(good | change))
+    ):
+        with pytest.raises(CameraError, match=message):
+            Camera(**(good | change))

@@ -18,19 +18,10 @@ from epiprior_lab.pairsets.changed import shrinking
 from epiprior_lab.pairsets.importers import find_match_files, find_pairs, find_sequences, find_usac, write_found
 from epiprior_lab.pairsets.importers.sources import read_rows
 from pictures import save, texture
-from worlds import camera_at
+from worlds import CAMERAS, HEIGHT, WIDTH
+from worlds import seen_by_both as matches
 
-WIDTH, HEIGHT = 320, 240
-CAMERAS = camera_at(-1.0), camera_at(1.5, roll_deg=10)
 H = np.array([[0.9, 0.05, 12.0], [-0.04, 1.02, 5.0], [1e-4, -5e-5, 1.0]])
-
-
-def matches(count=30, seed=0):
-    """Return points that both cameras see, at depths that lie on no plane."""
-    rng = np.random.default_rng(seed)
-    x1 = np.column_stack([rng.uniform(80, 240, count), rng.uniform(60, 180, count)])
-    x2, _ = CAMERAS[1].project(CAMERAS[0].back_project(x1, rng.uniform(9, 15, count)))
-    return x1, x2
 
 
 def picture(path, seed=0, width=WIDTH, height=HEIGHT):
@@ -95,7 +86,7 @@ def labelled():
     return x1, x2, labels
 
 
-def test_adelaidermf_from_mat(tmp_path):
+def test_adelaidermf_from_mat_and_labelled_text_and_of_one_plane(tmp_path):
     x1, x2, labels = labelled()
     red = np.zeros((HEIGHT, WIDTH, 3), np.uint8) + np.array([250, 0, 0], np.uint8)  # as MATLAB orders colours
     content = {"img1": red, "img2": red, "data": homogeneous(x1, x2), "score": np.ones((1, 40)), "label": labels}
@@ -106,20 +97,16 @@ def test_adelaidermf_from_mat(tmp_path):
     assert_points(pair, x1[labels > 0], x2[labels > 0])
     blue, _, red = cv2.imread(str(pair.image1))[5, 5]
     assert blue < 50 < 200 < red
-
-
-def test_adelaidermf_from_labelled_text_and_of_one_plane(tmp_path):
-    x1, x2, labels = labelled()
     folder = pair_of_pictures(tmp_path / "text", "hall")
     (folder / "hall_pts.txt").write_text(lines(np.vstack([homogeneous(x1, x2), labels]).T))
-    write_found(tmp_path / "set", find_match_files("adelaidermf", folder))
-    (pair,) = read_pair_set(tmp_path / "set").pairs
+    write_found(tmp_path / "same", find_match_files("adelaidermf", folder))
+    (pair,) = read_pair_set(tmp_path / "same").pairs
     assert_points(pair, x1[labels > 0], x2[labels > 0])
     assert sampson_distance(fundamental_from_cameras(*CAMERAS), *pair.control_points()).max() < 1e-4
     x1, _ = matches(30)
-    pair_of_pictures(tmp_path, "flat")
-    (tmp_path / "flat_pts.txt").write_text(lines(np.vstack([homogeneous(x1, transfer(H, x1)), np.ones(30)]).T))
-    (pair,) = find_match_files("adelaidermf", tmp_path)
+    folder = pair_of_pictures(tmp_path / "one plane", "flat")
+    (folder / "flat_pts.txt").write_text(lines(np.vstack([homogeneous(x1, transfer(H, x1)), np.ones(30)]).T))
+    (pair,) = find_match_files("adelaidermf", folder)
     assert pair.difficulty == "30 labelled matches, 1 plane; all on one plane: they decide no F"
 
 
@@ -193,18 +180,13 @@ def test_damage_of_homographies_is_named(tmp_path):
             find_sequences(name, tmp_path)
 
 
-@pytest.fixture
-def usac(tmp_path):
-    folder = tmp_path / "fundmatrix/test1"
+def test_usac_needs_points_by_hand_or_is_fitted_and_its_damage_is_named(tmp_path):
+    usac = tmp_path / "fundmatrix"
     for name in ("im1.jpg", "im2.jpg"):
-        picture(folder / name)
+        picture(usac / "test1" / name)
     x1, x2 = matches(80)
     x2[60:] = x2[60:][::-1]
-    (folder / "orig_pts.txt").write_text("80\n" + lines(np.hstack([x1, x2])))
-    return tmp_path / "fundmatrix"
-
-
-def test_usac_needs_points_by_hand_or_is_fitted_and_its_damage_is_named(usac, tmp_path):
+    (usac / "test1" / "orig_pts.txt").write_text("80\n" + lines(np.hstack([x1, x2])))
     with pytest.raises(DatasetError, match=r"no ground truth.*epiprior-lab label .*im1\.jpg .*im2\.jpg --out POINTS"):
         find_usac(usac)
     x1, x2 = matches(16, seed=1)
@@ -278,22 +260,16 @@ def test_lists_with_matrices_that_count_from_one(listed, tmp_path, kind):
         assert sampson_distance(reference_fundamental(pair), x1, x2).max() < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("row", "message"),
-    [
+def test_damage_of_lists_is_named_and_points_that_fit_no_given_matrix_when_the_set_is_written(listed, tmp_path):
+    for row, message in (
         (f"gone.png,{SECOND},a.txt", r"t\.csv, line 2: no image .*gone\.png"),
         (f"{FIRST},{SECOND},", r"t\.csv, line 2: none of points, homography, fundamental"),
         (f"{FIRST},{SECOND},gone.txt", r"gone\.txt: cannot be read"),
         (f"{FIRST},{SECOND}", r"t\.csv, line 2: 2 values for 3 columns"),
-    ],
-)
-def test_damage_of_lists_is_named(listed, row, message):
-    (listed / "t.csv").write_text(f"image1,image2,points\n{row}\n")
-    with pytest.raises(DatasetError, match=message):
-        find_pairs(listed / "t.csv")
-
-
-def test_points_that_fit_no_given_matrix_are_found_when_the_set_is_written(listed, tmp_path):
+    ):
+        (listed / "t.csv").write_text(f"image1,image2,points\n{row}\n")
+        with pytest.raises(DatasetError, match=message):
+            find_pairs(listed / "t.csv")
     np.savetxt(listed / "F.txt", fundamental_from_cameras(*CAMERAS[::-1]))  # images in the other order
     (listed / "t.csv").write_text(f"image1,image2,points,fundamental\n{FIRST},{SECOND},a.txt,F.txt\n")
     message = r"pairs\.csv, line 2: the F .*view02\.txt of pair .* does not fit .*view02\.csv"

@@ -24,6 +24,11 @@ from worlds import OVERCAST_FROM_ASIDE, coloured, no_shadows
 EVERY, MOST = (PairChoice(min_angle_deg=low, max_angle_deg=180 - low) for low in (1, 5))
 
 
+def refused(find, folder, message, error=DatasetError, **options):
+    with pytest.raises(error, match=message):
+        find(folder, **options)
+
+
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
     """Return a workspace with an exact model of six distorted photographs."""
@@ -44,14 +49,13 @@ def workspace(tmp_path_factory):
 
 @pytest.fixture
 def model(workspace, tmp_path):
-    """Return a copy of the model as text and as binary files."""
     for kind in ("binary", "text"):
         (tmp_path / kind).mkdir()
         getattr(pycolmap.Reconstruction(workspace / "sparse/0"), f"write_{kind}")(tmp_path / kind)
     return tmp_path
 
 
-def test_colmap_cameras_are_undistorted_and_count_from_zero(workspace, tmp_path):
+def test_colmap_cameras_and_pixels_are_undistorted_and_count_from_zero(workspace, tmp_path):
     write_found(tmp_path / "set", find_colmap(workspace, choice=MOST))
     pairs = read_pair_set(tmp_path / "set").pairs
     assert len(pairs) >= 6
@@ -71,11 +75,7 @@ def test_colmap_cameras_are_undistorted_and_count_from_zero(workspace, tmp_path)
         np.testing.assert_allclose(ours, (np.column_stack([rays, np.ones(len(rays))]) @ camera.K.T)[:, :2], atol=1e-3)
         assert abs(camera.K[0, 2] - (camera.width / 2 - 0.5)) < 1e-6
         assert cv2.imread(str(image_path)).shape[:2] == (camera.height, camera.width)
-
-
-def test_undistorted_pixels_belong_to_undistorted_cameras(workspace, tmp_path):
-    """A line of the world, bent in the photograph, is straight afterwards, where the camera says."""
-    model = pycolmap.Reconstruction(workspace / "sparse/0")
+    # A line of the world, bent in the photograph, is straight afterwards, where the camera says.
     image = min(model.images.values(), key=lambda image: image.name)
     pixels = np.zeros((240, 320, 3), np.uint8)
     y, x = np.mgrid[:240, :320]
@@ -117,22 +117,18 @@ def test_a_model_of_text_is_the_same_and_pairs_are_those_that_are_asked_for(work
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
 def test_damage_of_a_model_is_named(workspace, model, name):
-    def refused(kind, message):
-        with pytest.raises(DatasetError, match=message):
-            find_colmap(model / kind, images=workspace / "images")
-
-    path = model / "binary" / f"{name}.bin"
+    path, own = model / "binary" / f"{name}.bin", {"images": workspace / "images"}
     content = path.read_bytes()
     for length in (5, len(content) // 2, -3):
         path.write_bytes(content[:length])
-        refused("binary", rf"{name}\.bin: damaged")
+        refused(find_colmap, model / "binary", rf"{name}\.bin: damaged", **own)
     path = model / "text" / f"{name}.txt"
     rows = path.read_text().splitlines()
     first = next(index for index, row in enumerate(rows) if not row.startswith("#"))
     values = rows[first].split()
     for row, message in ((" ".join([*values[:3], "wide", *values[4:]]), "'wide' is no number"), ("1 2", "2 values")):
         path.write_text("\n".join([*rows[:first], row, *rows[first + 1 :]]) + "\n")
-        refused("text", rf"{name}\.txt, line {first + 1}: {message}")
+        refused(find_colmap, model / "text", rf"{name}\.txt, line {first + 1}: {message}", **own)
 
 
 def test_what_is_missing_and_names_that_a_colmap_model_cannot_hold_are_named(workspace, tmp_path, model):
@@ -211,21 +207,17 @@ def test_photographs_become_pairs_with_cameras(photographs, tmp_path, caplog):
 
 
 def test_photographs_are_checked_before_any_work(tmp_path, monkeypatch, caplog):
-    def refused(error, message):
-        with pytest.raises(error, match=message):
-            find_photos(tmp_path)
-
     monkeypatch.setattr("epiprior_lab.pairsets.importers.photos._match", lambda _: pytest.fail("work began"))
     for name in ("._a.jpg", "._b.jpg"):
         (tmp_path / name).write_bytes(b"attributes")
-    refused(DatasetError, "0 photographs, expected 3 or more")
+    refused(find_photos, tmp_path, "0 photographs, expected 3 or more")
     assert caplog.messages == [f"{tmp_path}: 2 files ._* skipped: attributes that macOS keeps"]
     for name in ("a.jpg", "b.jpg", "b.png"):
         save(tmp_path / name, texture(64, 64))
-    refused(DatasetError, r"b\.jpg and .*b\.png would both become images/b")
+    refused(find_photos, tmp_path, r"b\.jpg and .*b\.png would both become images/b")
     broken = (tmp_path / "b.png").rename(tmp_path / "c.png")
     broken.write_bytes(broken.read_bytes()[:60])
-    refused(ImageError, r"c\.png: not an image")
+    refused(find_photos, tmp_path, r"c\.png: not an image", ImageError)
 
 
 def camera_text(camera: Camera) -> str:
@@ -254,33 +246,22 @@ def test_strecha(photographs, tmp_path, images, cameras):
         assert len(pair.control_points()[0]) >= 12
 
 
-@pytest.mark.parametrize(
-    ("line", "text", "message"),
-    [
+def test_camera_files_and_their_photographs_are_checked(tmp_path):
+    refused(find_strecha, tmp_path, r"no file \*\.camera")
+    path = tmp_path / "a.png.camera"
+    path.write_text(camera_text(scene_cameras()[0]))
+    np.testing.assert_allclose(read_camera(path).t, scene_cameras()[0].t, atol=1e-9)
+    for line, text, message in (
         (2, "1 2", r"a\.png\.camera, line 2: 2 numbers, expected 3"),
         (5, "1 0 x", r"a\.png\.camera, line 5: 'x' is not a finite number"),
         (6, "9 9 9", r"a\.png\.camera: R is not a rotation"),
         (9, "", r"a\.png\.camera: 8 rows, expected 9"),
-    ],
-)
-def test_damage_of_camera_files_is_named(tmp_path, line, text, message):
-    path = tmp_path / "a.png.camera"
-    rows = camera_text(scene_cameras()[0]).splitlines()
-    path.write_text("\n".join(rows))
-    np.testing.assert_allclose(read_camera(path).t, scene_cameras()[0].t, atol=1e-9)
-    rows[line - 1] = text
-    path.write_text("\n".join(rows))
-    with pytest.raises(DatasetError, match=message):
-        read_camera(path)
-
-
-def test_photographs_of_camera_files_are_checked(tmp_path):
-    def refused(message):
-        with pytest.raises(DatasetError, match=message):
-            find_strecha(tmp_path)
-
-    refused(r"no file \*\.camera")
-    (tmp_path / "a.png.camera").write_text(camera_text(scene_cameras()[0]))
-    refused(r"a\.png\.camera: no image")
+    ):
+        rows = camera_text(scene_cameras()[0]).splitlines()
+        rows[line - 1] = text
+        path.write_text("\n".join(rows))
+        refused(read_camera, path, message)
+    path.write_text(camera_text(scene_cameras()[0]))
+    refused(find_strecha, tmp_path, r"a\.png\.camera: no image")
     save(tmp_path / "a.png", texture(100, 80))
-    refused(r"a\.png\.camera: says 320 x 240, .* is 100 x 80")
+    refused(find_strecha, tmp_path, r"a\.png\.camera: says 320 x 240, .* is 100 x 80")

@@ -21,7 +21,6 @@ RULE = CascadeRule(min_confidence=0.95)
 
 
 def metrics():
-    """Return the cross-validation of made-up classifiers."""
     rows = []
     names = ("precision_top_100", "average_precision", "accuracy", "precision")
     for preset, target in (("paper", "two_keypoint"), ("default", "match")):
@@ -34,7 +33,6 @@ def metrics():
 
 
 def search():
-    """Return a made-up search for hand-overs."""
     base = {"one_to_one": True, "top_k": None, "max_distance_ratio": None, "threshold_px": 1.5, "refine": False}
     base |= {"pairs": 48, "successes_3": 10, "area": 0.5}
     steps = {"top_k": (300, 500, None), "threshold_px": (1.0, 2.0), "refine": (True,)}
@@ -76,13 +74,11 @@ def photographs(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def study_report(study, tmp_path_factory):
-    """The tables of the study's report and its folder."""
     out = tmp_path_factory.mktemp("reports")
     return write_report(study.results, study.params, study.extras, "study", out), out
 
 
 @pytest.fixture(scope="session")
 def photograph_report(photographs):
-    """The tables of the photographs' report and its folder."""
     out = photographs.root / "out"
     return write_report(photographs.results, photographs.params, photographs.extras, "photographs", out), out

@@ -60,14 +60,7 @@ def test_a_method_is_shown_where_it_has_all_bags(records):
     assert (ours["tracks"], ours["track_length"]) == (10.0, 2.5)
 
 
-def test_what_should_not_be_registered_is_counted(records):
-    table = intruder_table(records).set_index(["kind", "intrinsics", "method"])
-    found = table.loc[(STRANGER, "known", "aliked")]
-    assert (found["bags"], found["others"], found["strangers"], found["taken"]) == (2, 2, 1, 1)
-    assert table.loc[(TWINS, "inferred", "colmap")][["strangers", "taken"]].tolist() == [4, 2]
-
-
-def test_the_small_table(records):
+def test_the_small_table_and_what_should_not_be_registered(records):
     summary, intruders = summary_table(records, PARAMS.report), intruder_table(records)
     table = small_table(summary, intruders, [*METHODS, "disk"], PARAMS.report.sizes)
     head = [f"{part}: right of {n}" for part, n in (("bags of 3", 6), ("bags of 5", 10), ("hard", 8))]
@@ -79,6 +72,10 @@ def test_the_small_table(records):
         ["DISK + LightGlue", "not present", *[""] * 10],
         ["ours", "**5**", "1", "**0.50**", "9", "1", "**0.50**", "**6**", "2", "**0.50**", "0 of 2", ""],
     ]
+    table = intruders.set_index(["kind", "intrinsics", "method"])
+    found = table.loc[(STRANGER, "known", "aliked")]
+    assert (found["bags"], found["others"], found["strangers"], found["taken"]) == (2, 2, 1, 1)
+    assert table.loc[(TWINS, "inferred", "colmap")][["strangers", "taken"]].tolist() == [4, 2]
 
 
 def test_all_is_written_and_seconds_stand_apart(records, tmp_path):

@@ -1,5 +1,3 @@
-"""Bounds: judged by numbers, told in words."""
-
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +68,9 @@ def test_every_estimator_has_to_keep_to_a_bound_and_a_duel_is_met_by_intervals(p
     assert not one(photographs.results, wanted, duels=duels(0.5, 0.0))[0]["met"]
 
 
-def test_the_best_peer_is_chosen_in_hindsight(photographs, photograph_report):
+def test_the_best_peer_is_chosen_in_hindsight_and_the_bounds_of_the_repository_are_judged(
+    photographs, photograph_report, tmp_path
+):
     table = photograph_report[0]["successes"]
     hard = table[(table["group"] == "hard") & (table["threshold_px"] == 10)]
     peer = hard[hard["input"] != "default"]["successes"].max()
@@ -81,9 +81,6 @@ def test_the_best_peer_is_chosen_in_hindsight(photographs, photograph_report):
     assert row["met"]
     assert row["low"] <= row["found"] <= row["high"]
     assert f"over {row['against']}" in words[1]
-
-
-def test_the_bounds_of_the_repository_are_judged(photograph_report):
     judged = photograph_report[0]["bounds"]
     wanted = load_bounds(ROOT / BOUNDS, "photographs")
     assert len(judged) == len([b for b in wanted if "time" not in b.measure])
@@ -91,10 +88,7 @@ def test_the_bounds_of_the_repository_are_judged(photograph_report):
     row = judged[judged["measure"] == "precision_gain"].iloc[0]
     assert (row["found"], row["met"]) == (ranking["gain"], ranking["gain"] >= 0.18)
     assert bound_rows(judged)[0][0] == "precision of the top 100 at least +0.18 over X_L: all pairs"
-
-
-@pytest.mark.parametrize("text", ["- {pipeline: study, measure: luck, group: all}", "- {wish: 1}", "[", ""])
-def test_a_damaged_file_is_named(tmp_path, text):
-    (tmp_path / "bounds.yaml").write_text(text)
-    with pytest.raises(ReportError, match=r"bounds\.yaml"):
-        load_bounds(tmp_path / "bounds.yaml", "study")
+    for text in ("- {pipeline: study, measure: luck, group: all}", "- {wish: 1}", "[", ""):
+        (tmp_path / "bounds.yaml").write_text(text)
+        with pytest.raises(ReportError, match=r"bounds\.yaml"):
+            load_bounds(tmp_path / "bounds.yaml", "study")

@@ -1,5 +1,3 @@
-"""How the cascade's rule is told."""
-
 import pandas as pd
 
 from epiprior.verification.cascade import CascadeRule

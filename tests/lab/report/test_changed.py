@@ -1,5 +1,3 @@
-"""Successes on changed photographs."""
-
 from dataclasses import replace
 
 import pandas as pd

@@ -1,5 +1,3 @@
-"""What the report says of the confidence, on made-up estimates."""
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -25,7 +23,7 @@ def scores(kinds):
     return confidence_table(kinds, 10.0).set_index(["estimator", "score"]).loc["usac"]
 
 
-def test_the_score_tells_right_from_wrong_and_unrelated():
+def test_the_score_tells_right_from_wrong_and_kinds_are_counted_by_verdict_and_drawn(tmp_path):
     good, bad = scores(made_up(0.8, 0.2, 0.1)), scores(made_up(0.1, 0.2, 0.8))
     assert (good["auc"] == 1).all()
     assert (good["kept"] == 1).all()
@@ -35,9 +33,6 @@ def test_the_score_tells_right_from_wrong_and_unrelated():
     assert (row["flat_told"], row["false_flat"]) == (1, 0)
     # Confidences of 0.845, 0.245 and 0.145 in the mean, of which 1, 0 and 0 are right.
     assert row["calibration_error"] == pytest.approx((0.155 + 0.245 + 0.145) / 3, abs=1e-9)
-
-
-def test_kinds_are_counted_by_verdict_and_drawn(tmp_path):
     kinds = made_up(0.8, 0.2, 0.1, told="identical")
     assert labelled(kinds, 10.0)["kind"].value_counts().to_dict() == dict.fromkeys(
         ("right", "wrong", "unrelated", "plane"), 10

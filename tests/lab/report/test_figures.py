@@ -1,5 +1,3 @@
-"""What figures show."""
-
 import pandas as pd
 import pytest
 

@@ -18,7 +18,6 @@ def sides(results, pair, estimator, against):
 
 
 def changed(photographs, **columns):
-    """Results with other columns of the runs."""
     tables = photographs.results.tables
     return read_results(replace(tables, runs=tables.runs.assign(**columns)), photographs.params, apart=APART)
 

@@ -1,5 +1,3 @@
-"""A page as Markdown and as HTML."""
-
 from epiprior_lab.report.page import Page, Picture, Section, Table, picture, render_html, render_markdown, say
 from html_reader import Reader
 
@@ -16,15 +14,12 @@ PAGE = Page(
 )  # fmt: skip
 
 
-def test_markdown():
+def test_markdown_and_html_are_whole_and_escaped():
     assert render_markdown(PAGE) == (
         "# A page\n\nOf `code` and X_L & <b>.\n\n## Numbers\n\nSome prose.\n\n### Folded\n\n"
         "| who | n |\n|---|---:|\n| **all** |  |\n| **a** | 1 |\n\n"
         "## Side by side\n\n![a](a.png)\n\n![b](b.png)\n\n*B*\n"
     )
-
-
-def test_html_is_whole_and_escaped():
     text = render_html(PAGE)
     read = Reader(text)
     assert (read.open, read.ids, read.links) == ([], ["numbers", "side-by-side"], ["#numbers", "#side-by-side"])

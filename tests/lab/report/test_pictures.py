@@ -1,27 +1,19 @@
-"""The contact sheet of rendered pairs."""
-
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from epiprior_lab.pairsets import DatasetError, Pair
+from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.report.pictures import _caption, contact_sheet
+from worlds import camera_pair
 
 
 def pair_of(tmp_path, name, colour, shape=(90, 120)):
     paths = [tmp_path / f"{name}_{k}.png" for k in (1, 2)]
     for path in paths:
         cv2.imwrite(str(path), np.full((*shape, 3), colour, np.uint8))
-    values = {"camera1": None, "camera2": None, "difficulty": "angle=30.0deg;overlap=0.40"}
-    return Pair(pair_id=name, scene=name, image1=paths[0], image2=paths[1], **values)
-
-
-@pytest.mark.parametrize(("roll", "shown"), [(348, -12), (180, 180), (181, -179), (0, 0), (-7, -7)])
-def test_a_roll_is_at_most_half_a_turn(tmp_path, roll, shown):
-    pair = replace(pair_of(tmp_path, "p", (0, 0, 255)), difficulty=f"overlap=0.50;roll={roll}deg")
-    assert _caption(pair) == f"overlap 0.50   roll {shown}°"
+    return camera_pair(paths[0], (None, None), pair_id=name, image2=paths[1], difficulty="angle=30.0deg;overlap=0.40")
 
 
 def test_every_pair_is_on_the_sheet_and_none_or_unreadable_ones_are_errors(tmp_path):
@@ -39,3 +31,5 @@ def test_every_pair_is_on_the_sheet_and_none_or_unreadable_ones_are_errors(tmp_p
     pair.image2.write_text("no image")
     with pytest.raises(DatasetError, match=r"p_2\.png"):
         contact_sheet({"open": [pair]}, tmp_path / "sheet.png")
+    for roll, shown in ((348, -12), (180, 180), (181, -179), (0, 0), (-7, -7)):  # at most half a turn
+        assert _caption(replace(pair, difficulty=f"overlap=0.50;roll={roll}deg")) == f"overlap 0.50   roll {shown}°"

@@ -19,7 +19,6 @@ TEXT = "before\n<!-- results -->\nold\n<!-- /results -->\nafter\n"
 
 @pytest.fixture
 def root(tmp_path, photograph_report):
-    """A repository with the report of made-up photographs."""
     shutil.copytree(photograph_report[1] / "tables", tmp_path / readme.TABLES)
     (tmp_path / readme.TIMES).parent.mkdir()
     best = ESTIMATOR_OF_X_L.search((photograph_report[1] / "performance.md").read_text())

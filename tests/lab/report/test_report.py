@@ -1,5 +1,3 @@
-"""Whole reports: pages, files and their bytes."""
-
 import re
 
 import pandas as pd
@@ -29,7 +27,9 @@ def test_pages_are_whole_and_say_the_same(name, request):
     assert text.rindex("\n## ") == text.index("\n## Bounds")
 
 
-def test_the_small_table_leads_and_every_group_and_estimator_has_its_rows(study_report, photograph_report):
+def test_the_small_table_leads_every_group_and_estimator_has_its_rows_and_no_photograph_is_committed(
+    study_report, photograph_report, photographs
+):
     for (made, out), inputs in ((study_report, STUDY_INPUTS), (photograph_report, PHOTOGRAPH_INPUTS)):
         text = (out / "performance.md").read_text()
         blocks = text[text.index("### Below 10 px") : text.index("## Against")]
@@ -51,9 +51,6 @@ def test_the_small_table_leads_and_every_group_and_estimator_has_its_rows(study_
     best = at.sort_values("successes", ascending=False, kind="stable").iloc[0]
     assert rows[2][1] == best["estimator"]
     assert float(rows[2][3].strip("*")) == pytest.approx(100 * best["successes"] / 12, abs=0.05)
-
-
-def test_a_committed_page_shows_no_photograph(photographs, photograph_report):
     out, cases = photograph_report[1], photographs.extras.cases
     page = Reader((out / "index.html").read_text())
     assert sum(image.startswith("gallery/") for image in page.images) == 2 * len(cases) > 0

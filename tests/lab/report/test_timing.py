@@ -1,5 +1,3 @@
-"""Tables of time, and their bounds."""
-
 import numpy as np
 import pytest
 
@@ -18,16 +16,15 @@ def timings(study):
     return timing_table(study.results.tables)
 
 
-def test_overhead_is_a_ratio_of_means_and_its_bounds_are_medians(study, timings):
+def test_overhead_is_a_ratio_of_means_its_bounds_are_medians_and_seconds_are_by_outcome(study, timings):
     table = overhead_table(timings, study.results, 10.0).set_index(["input", "group", "estimator"])
     own = timings[(timings["group"] == "open") & (timings["estimator"] == "usac")]
     means = own.groupby("input")["seconds_total"].mean()
     row = table.loc[("default", "open", "usac")]
     assert row["seconds_without"] == pytest.approx(means["standard"])
     assert row["overhead"] == pytest.approx(means["default"] / means["standard"])
-    a, b = (
-        study.results.errors.of("usac", n, 10.0)[study.results.masks["open"]].mean() for n in ("standard", "default")
-    )
+    errors, mask = study.results.errors, study.results.masks["open"]
+    a, b = (errors.of("usac", name, 10.0)[mask].mean() for name in ("standard", "default"))
     assert row["contribution"] == pytest.approx(b / a - 1)
     assert np.isnan(table.loc[("cascade", "open", "usac"), "contribution"])
     everyone = timings[timings["input"].isin(["standard", "generalized", "default"])]
@@ -43,9 +40,6 @@ def test_overhead_is_a_ratio_of_means_and_its_bounds_are_medians(study, timings)
     assert judged["found"].tolist() == [found["default"], found["cascade"]]
     assert judged["met"].tolist() == [found["default"] <= 2.0, True]
     assert judge(WANTED, {}).empty
-
-
-def test_seconds_by_outcome(timings):
     table = seconds_table(timings, 10.0).set_index(["estimator", "input", "outcome"])
     own = timings[(timings["estimator"] == "usac") & (timings["input"] == "snn")]
     right = own[own["error_px"] < 10.0]["seconds_estimator"]
@@ -72,11 +66,8 @@ def test_every_input_is_a_point(photographs, tmp_path):
     results, timings = photographs.results, timing_table(photographs.results.tables)
     table = decision_table(timings, results, (10.0, 3.0), usual="magsac++")
     assert table["input"].drop_duplicates().tolist() == ["standard", "generalized", "snn", "aliked", "default"]
-    assert set(table.loc[table["choice"] == "usual", "input"]) == {
-        "standard",
-        "snn",
-        "default",
-    }  # others: best, or none
+    usual = set(table.loc[table["choice"] == "usual", "input"])
+    assert usual == {"standard", "snn", "default"}  # others: best, or none
     assert (table["pairs"] == results.hard_pairs.sum()).all()
     row = table[table["input"] == "aliked"].iloc[0]
     counts = {e: results.errors.of(e, "aliked", 10.0)[results.hard_pairs].sum() for e in ("usac", "magsac++")}

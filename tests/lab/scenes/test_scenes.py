@@ -44,12 +44,7 @@ def picture(world, camera, light=OVERCAST_FROM_ASIDE, view=BOTH_VIEWS):
     return render_image(world, camera, light, shadows, view=view)
 
 
-@pytest.fixture(scope="module")
-def family_pairs():
-    return {family: render_pair(family, 3, **SMALL) for family in FAMILIES}
-
-
-def test_depth_of_a_slanted_plane_is_the_analytic_one():
+def test_depth_of_a_slanted_plane_is_the_analytic_one_and_nearer_faces_hide_farther_ones():
     builder, (white,) = builder_of(255)
     normal, offset = np.array([0.3, -0.2, 1.0]), 7.0  # normal . X = offset
     across = np.cross(normal, [0.0, 1.0, 0.0])
@@ -59,6 +54,19 @@ def test_depth_of_a_slanted_plane_is_the_analytic_one():
     x, y = np.meshgrid(np.arange(200.0), np.arange(150.0))
     rays = np.stack([(x - 99.5) / 200, (y - 74.5) / 200, np.ones_like(x)], axis=-1)
     np.testing.assert_allclose(render_depth(builder.build(), camera), offset / (rays @ normal), rtol=1e-6)
+    for order in (1, -1):
+        builder, (dark, light) = builder_of(40, 220)
+        for z, texture in [(10.0, dark), (5.0, light)][::order]:
+            plane(builder, texture, z, 2 * z)
+        world = builder.build()
+        assert (render_depth(world, plain_camera()) == 5.0).all()
+        assert (picture(world, plain_camera()) == 220).all()
+    builder, (floor,) = builder_of(90)
+    builder.face((-50, 1.5, 50), (100, 0, 0), (0, 0, -100), floor)
+    depth = render_depth(builder.build(), plain_camera())
+    y = np.arange(81, 150)  # the floor ends 50 m away, at row 80.5
+    np.testing.assert_allclose(depth[81:, 0], 1.5 * 200 / (y - 74.5), rtol=1e-6)
+    assert np.isinf(depth[:80]).all()
 
 
 def test_a_pixel_carried_over_by_its_depth_lands_on_the_same_colour():
@@ -83,22 +91,6 @@ def test_a_pixel_carried_over_by_its_depth_lands_on_the_same_colour():
 
     assert difference(1.0) < 4
     assert difference(1.03) > 3 * difference(1.0)
-
-
-def test_nearer_faces_hide_farther_ones_and_a_face_reaches_behind_the_camera():
-    for order in (1, -1):
-        builder, (dark, light) = builder_of(40, 220)
-        for z, texture in [(10.0, dark), (5.0, light)][::order]:
-            plane(builder, texture, z, 2 * z)
-        world = builder.build()
-        assert (render_depth(world, plain_camera()) == 5.0).all()
-        assert (picture(world, plain_camera()) == 220).all()
-    builder, (floor,) = builder_of(90)
-    builder.face((-50, 1.5, 50), (100, 0, 0), (0, 0, -100), floor)
-    depth = render_depth(builder.build(), plain_camera())
-    y = np.arange(81, 150)  # the floor ends 50 m away, at row 80.5
-    np.testing.assert_allclose(depth[81:, 0], 1.5 * 200 / (y - 74.5), rtol=1e-6)
-    assert np.isinf(depth[:80]).all()
 
 
 def test_holes_and_triangles_show_what_is_behind():
@@ -155,8 +147,8 @@ def test_the_sun_casts_shadows_and_things_of_one_view_are_in_that_view_only():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
-def test_pairs_keep_the_bounds_of_their_family_and_their_points_the_epipolar_lines(family_pairs, family):
-    settings, pair = FAMILIES[family], family_pairs[family]
+def test_pairs_keep_the_bounds_of_their_family_and_have_the_detail_of_photographs(family):
+    settings, pair = FAMILIES[family], render_pair(family, 3, **SMALL)
     cameras, depths = (pair.camera1, pair.camera2), (pair.depth1, pair.depth2)
     x1, x2 = control_points_from_depth(cameras, depths, count=100, seed=0)
     assert len(x1) == 100
@@ -167,11 +159,6 @@ def test_pairs_keep_the_bounds_of_their_family_and_their_points_the_epipolar_lin
     assert settings.overlap[0] - 0.1 <= seen.overlap <= settings.overlap[1] + 0.1
     roll = min(seen.roll_deg, 360 - seen.roll_deg)
     assert (roll > 10) if family == "rolled" else (roll < 35)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("family", FAMILIES)
-def test_images_have_the_detail_of_photographs(family):
     pair = render_pair(family, 5, width=512, height=384)
     for image in (pair.image1, pair.image2):
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
@@ -226,15 +213,6 @@ def test_scenes_without_two_views_are_an_error_that_names_the_seed(monkeypatch):
         render_pair("open", 4, settings=impossible, **SMALL)
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [{"overlap": (0.5, 1.2)}, {"angle_deg": (20, 10)}, {"scale_ratio": (0.5, 2)}, {"facades": 1.5}, {"relit": np.nan}],
-)
-def test_impossible_settings_are_refused(bad):
-    with pytest.raises(SettingsError, match=next(iter(bad))):
-        dataclasses.replace(FAMILIES["open"], **bad)
-
-
 def test_photographs_are_in_the_installed_packages_and_bad_arguments_are_refused(monkeypatch):
     for name in textures._FILES:
         image = textures.photograph(name)
@@ -249,6 +227,10 @@ def test_photographs_are_in_the_installed_packages_and_bad_arguments_are_refused
     ):
         with pytest.raises(error, match=message):
             call()
+    bad = {"overlap": (0.5, 1.2), "angle_deg": (20, 10), "scale_ratio": (0.5, 2), "facades": 1.5, "relit": np.nan}
+    for name, value in bad.items():
+        with pytest.raises(SettingsError, match=name):
+            dataclasses.replace(FAMILIES["open"], **{name: value})
 
 
 @pytest.mark.parametrize("grain", ["fine", "middle", "coarse"])

@@ -67,7 +67,7 @@ def many_runs(n=60, seed=0):
     return runs_of(list(zip(scenes, confidence, np.where(right, 0.5, 40.0), np.full(n, 0.7), strict=True)))
 
 
-def test_the_learnt_rule_tells_right_from_wrong_and_is_strict():
+def test_the_learnt_rule_tells_right_from_wrong_is_strict_and_the_trade_off_falls_from_never_to_always():
     runs = many_runs()
     found = learn_rule(runs, PARAMS, **AT)
     outcome = found.outcomes.loc["usac"]
@@ -75,6 +75,15 @@ def test_the_learnt_rule_tells_right_from_wrong_and_is_strict():
     assert outcome["preprocessed"] == pytest.approx(1 - (runs["without_px"] < 10).mean())
     assert (outcome["lost"], outcome["held_out_lost"]) == (0.0, 0.0)
     assert outcome["held_out_preprocessed"] == pytest.approx(outcome["preprocessed"], abs=0.1)
+    assert [rule.min_confidence for rule in cascade_rule.candidate_rules(PARAMS)] == [1.0, 0.75, 0.5, 0.25, 0.0]
+    assert cascade_rule.candidate_rules(PARAMS)[0] is NEVER
+    runs = many_runs(seed=2).assign(confidence=np.linspace(0, 0.99, 60))
+    front = cascade_rule.trade_off(runs, PARAMS, 10.0)
+    first, last = front.iloc[0], front.iloc[-1]
+    assert (len(front), first["preprocessed"], first["lost"], last["preprocessed"]) == (5, 1.0, 0.0, 0.0)
+    assert (np.diff(front["preprocessed"]) < 0).all()
+    assert (np.diff(front["lost"]) >= 0).all()
+    assert last["lost"] == (runs["without_px"] > 10).mean()
 
 
 def test_each_tolerance_holds_at_its_own_threshold_and_wins_buy_nothing():
@@ -116,15 +125,3 @@ def test_one_rule_serves_all_and_one_fooled_estimator_does_not_decide_alone():
     assert list(found.outcomes.index) == ["usac", "prosac", "beem", ALL]
     assert found.outcomes["lost"].to_list() == pytest.approx([1 / 50, 0, 0, 1 / 150])
     assert found.outcomes["preprocessed"].to_list() == pytest.approx([0, 1 / 50, 1 / 50, 2 / 150])
-
-
-def test_the_trade_off_falls_from_never_to_always():
-    assert [rule.min_confidence for rule in cascade_rule.candidate_rules(PARAMS)] == [1.0, 0.75, 0.5, 0.25, 0.0]
-    assert cascade_rule.candidate_rules(PARAMS)[0] is NEVER
-    runs = many_runs(seed=2).assign(confidence=np.linspace(0, 0.99, 60))
-    front = cascade_rule.trade_off(runs, PARAMS, 10.0)
-    first, last = front.iloc[0], front.iloc[-1]
-    assert (len(front), first["preprocessed"], first["lost"], last["preprocessed"]) == (5, 1.0, 0.0, 0.0)
-    assert (np.diff(front["preprocessed"]) < 0).all()
-    assert (np.diff(front["lost"]) >= 0).all()
-    assert last["lost"] == (runs["without_px"] > 10).mean()

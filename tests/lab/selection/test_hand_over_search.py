@@ -14,16 +14,10 @@ from epiprior_lab.params import HandOverParams, WeightedParams
 from epiprior_lab.selection import hand_over_search
 from epiprior_lab.selection.hand_over_search import Trial, choose
 
-PARAMS = HandOverParams(
-    seeds=(0, 1),
-    max_distance_ratio=(0.7, 0.8, 0.9),
-    top_k=(100, 300, 500, None),
-    weighted=WeightedParams(estimators=("epiprior",), top_k=(300, 2000)),
-    threshold_px=(1.0, 1.5, 2.0),
-    one_to_one=(True, False),
-    refine=(True, False),
-    collect=(True, False),
-)
+NUMBERS = {"max_distance_ratio": (0.7, 0.8, 0.9), "top_k": (100, 300, 500, None), "threshold_px": (1.0, 1.5, 2.0)}
+FLAGS = dict.fromkeys(("one_to_one", "refine", "collect"), (True, False))
+WEIGHTED = WeightedParams(estimators=("epiprior",), top_k=(300, 2000))
+PARAMS = HandOverParams(seeds=(0, 1), weighted=WEIGHTED, **NUMBERS, **FLAGS)
 SEARCHED = {"usac": ("standard", "default"), "prosac": ("standard", "default"), "epiprior": ("generalized", "default")}
 
 
@@ -111,7 +105,7 @@ def trial(errors, top_k=None):
     return Trial(estimator="usac", input="snn", step="top_k", how=HandOver(top_k=top_k), errors_px=np.array(errors))
 
 
-def test_score_counts_both_thresholds_alike_then_the_area():
+def test_score_counts_both_thresholds_and_a_hand_over_is_left_only_for_gains_above_their_standard_error():
     def one_pair(*errors):
         return trial([errors])
 
@@ -121,8 +115,6 @@ def test_score_counts_both_thresholds_alike_then_the_area():
     assert one_pair(9.0, 2.0).score > one_pair(9.5, 2.0).score
     assert one_pair(10.0, np.nan).score == (0, 0.0)
 
-
-def test_a_hand_over_is_left_only_for_gains_above_their_standard_error():
     def pairs(errors, top_k=None):
         return trial(np.array(errors)[:, None], top_k)
 

@@ -1,5 +1,3 @@
-"""Platt scaling, and its cross-validation."""
-
 import numpy as np
 import pytest
 from scipy.special import expit, logit
@@ -16,16 +14,13 @@ def overconfident(size=20_000, seed=0):
     return expit(2 * logit(p) + 1), rng.random(size) < p, p
 
 
-def test_platt_finds_the_distortion():
+def test_platt_finds_the_distortion_and_the_sigmoid_is_that_of_unpenalised_logistic_regression():
     said, labels, p = overconfident()
     platt = fit_platt(said, labels)
     assert (platt.a, platt.b) == (pytest.approx(0.5, abs=0.02), pytest.approx(-0.5, abs=0.05))
     assert np.abs(platt(said) - p).max() < 0.03
     before, after = (calibration_bins(each, labels).expected_calibration_error for each in (said, platt(said)))
     assert after < 0.01 < before
-
-
-def test_the_sigmoid_is_that_of_unpenalised_logistic_regression():
     said, labels, _ = overconfident(seed=1)
     score = 1000 + 50 * logit(said)  # far from the origin and wide
     a, b = fit_sigmoid(score, labels)
@@ -45,12 +40,9 @@ def test_platt_is_strictly_increasing_and_finite_for_separated_classes():
     assert -b / a == pytest.approx(9.5, abs=0.1)
     said = np.linspace(0.1, 0.9, 12)
     np.testing.assert_array_equal(cross_calibrate(said, np.arange(12) < 6, np.arange(12) % 2), said)
-
-
-@pytest.mark.parametrize("labels", [np.zeros(10, bool), np.ones(10, bool), np.arange(10) < 5])
-def test_one_class_or_a_reversed_ranking_is_refused(labels):
-    with pytest.raises(CalibrationError):
-        fit_platt(np.linspace(0.1, 0.9, 10), labels)
+    for labels in (np.zeros(10, bool), np.ones(10, bool), np.arange(10) < 5):  # one class, or a reversed ranking
+        with pytest.raises(CalibrationError):
+            fit_platt(np.linspace(0.1, 0.9, 10), labels)
 
 
 def test_cross_calibration_does_not_see_the_row():

@@ -25,16 +25,9 @@ from grouped_rows import COLUMNS, make_rows
 pytestmark = pytest.mark.slow
 ROWS = make_rows(3000)
 FAMILIES = ("tree", "svm", "lightgbm")
-PARAMS = TrainParams(
-    seed=3,
-    folds=3,
-    families=FAMILIES,
-    exported=ExportedFamilies(paper="tree", default="lightgbm", confidence="lightgbm"),
-    max_rows_per_pair=100,
-    max_rows=600,
-    max_forest_rows=400,
-    max_svm_rows=400,
-)
+EXPORTED = ExportedFamilies(paper="tree", default="lightgbm", confidence="lightgbm")
+CAPS = {"max_rows_per_pair": 100, "max_rows": 600, "max_forest_rows": 400, "max_svm_rows": 400}
+PARAMS = TrainParams(seed=3, folds=3, families=FAMILIES, exported=EXPORTED, **CAPS)
 
 
 def drawn():
@@ -63,7 +56,6 @@ def test_a_sample_keeps_order_and_share_and_its_digest_survives_the_file(tmp_pat
 
 
 def wide(rows, columns):
-    """Repeat columns until there are as many as names."""
     return np.tile(rows, (1, len(columns)))[:, : len(columns)].astype(np.float32)
 
 
@@ -99,7 +91,7 @@ def trained(tmp_path_factory):
         return train(folders, PARAMS, workers=1, store=root / "store"), votes
 
 
-def test_all_families_that_are_asked_for_are_compared(trained):
+def test_all_families_that_are_asked_for_are_compared_and_tracked(trained):
     trained, _ = trained
     assert list(trained) == ["paper", "default"]
     for preset, exported in (("paper", "tree"), ("default", "lightgbm")):
@@ -111,22 +103,6 @@ def test_all_families_that_are_asked_for_are_compared(trained):
             assert found.ungrouped.calibrated is None
             assert found.platt.a > 0
             assert len(found.refit.parity_rows) == len(found.refit.parity_probability) == 2000
-
-
-def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained):
-    trained, votes = trained
-    for preset, (first, *_) in trained.items():
-        found = first.grouped[first.exported]
-        for pair, kept, every in zip(ROWS.pairs.tolist(), first.data.slices, ROWS.slices, strict=True):
-            number = found.fold[kept][0]
-            classifier = pickle.loads(found.classifiers[number])
-            rows = wide(ROWS.rows[every], first.data.columns)
-            np.testing.assert_array_equal(votes[preset, pair], first.platt(classifier.probability(rows)))
-            assert pair[:-2] not in set(first.data.scene[found.fold != number].tolist())
-
-
-def test_runs_to_track(trained):
-    trained, _ = trained
     runs = {run.tags["family"]: run for run in tracked_runs(trained["paper"][1], {"seed": 3})}
     assert list(runs) == [*FAMILIES]
     exported, other = runs["tree"], runs["svm"]
@@ -145,11 +121,23 @@ def test_runs_to_track(trained):
     assert exported.rows.shape == (5, 3)
 
 
+def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained):
+    trained, votes = trained
+    for preset, (first, *_) in trained.items():
+        found = first.grouped[first.exported]
+        for pair, kept, every in zip(ROWS.pairs.tolist(), first.data.slices, ROWS.slices, strict=True):
+            number = found.fold[kept][0]
+            classifier = pickle.loads(found.classifiers[number])
+            rows = wide(ROWS.rows[every], first.data.columns)
+            np.testing.assert_array_equal(votes[preset, pair], first.platt(classifier.probability(rows)))
+            assert pair[:-2] not in set(first.data.scene[found.fold != number].tolist())
+
+
 def table(text):
     return list(csv.DictReader(io.StringIO(text)))
 
 
-def test_tables_of_metrics_curves_and_importances(trained):
+def test_tables_and_what_else_training_writes_and_a_folder_without_rows_is_named(trained, tmp_path):
     trained, _ = trained
     found = trained["paper"][1]
     rows = table(metrics_csv([found]))
@@ -173,10 +161,6 @@ def test_tables_of_metrics_curves_and_importances(trained):
     rows = table(importances_csv(trained["default"]))
     assert [r["column"] for r in rows if r["target"] == "match"] == list(find_preset("default").match_columns)
     assert {r["family"] for r in rows} == {"lightgbm"}
-
-
-def test_what_training_writes_and_a_folder_without_rows_is_named(trained, tmp_path):
-    trained, _ = trained
     write_training(tmp_path / "a", trained["paper"])
     tables = {"curves.csv", "importances.csv", "match.onnx", "metrics.csv", "parity.npz", "summary.json"}
     assert {path.name for path in (tmp_path / "a").iterdir()} == {*tables, "two_keypoint.onnx"}

@@ -32,7 +32,7 @@ def facts(kind, right, name, value=0.5):
     )
 
 
-def test_every_row_comes_again_without_what_others_may_lack():
+def test_every_row_comes_again_without_what_others_may_lack_and_few_unrelated_pairs_reach_the_default():
     rows = confidence_rows([facts("pair", [True, False], "a"), facts("plane", [False], "b")], seed=2)
     found = rows["confidence"]
     assert found.labels.tolist() == [True, False] * 2 + [False] * 2
@@ -41,9 +41,6 @@ def test_every_row_comes_again_without_what_others_may_lack():
     assert (found.rows[[0, 1, 4]] == 0.5).all()
     assert (found.rows[[2, 3, 5]] == UNKNOWN).any(axis=1).all()
     assert rows["homography"].labels.tolist() == [False] * 4 + [True] * 2
-
-
-def test_few_unrelated_pairs_reach_the_default():
     known = [facts("unrelated", [False] * 100, "s"), facts("pair", [True] * 100, "t")]
     data = SimpleNamespace(pairs=np.array(["s", "t"]), lengths=np.array([100, 100]))
     values = np.concatenate([np.linspace(0, 0.99, 100), np.full(100, 0.99)])

@@ -1,5 +1,3 @@
-"""Folds by scene and by row, and cross-validation over them."""
-
 import pickle
 from types import SimpleNamespace
 
@@ -20,15 +18,11 @@ def validate(family="lightgbm", by_scene=True, **changes):
     return cross_validate(family, ROWS, fold, by_scene=by_scene, seed=7, **changes)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_no_scene_is_in_two_folds(seed):
-    fold = folds_by_scene(ROWS.labels, ROWS.scene, 5, seed)
-    assert set(fold.tolist()) == set(range(5))
-    for name in ROWS.scenes:
-        assert len(set(fold[ROWS.scene == name].tolist())) == 1
-
-
-def test_folds_of_few_or_uneven_scenes_and_of_rows():
+def test_no_scene_is_in_two_folds_and_folds_of_few_or_uneven_scenes_and_of_rows():
+    for seed in range(5):
+        fold = folds_by_scene(ROWS.labels, ROWS.scene, 5, seed)
+        assert set(fold.tolist()) == set(range(5))
+        assert all(len(set(fold[ROWS.scene == name].tolist())) == 1 for name in ROWS.scenes)
     with pytest.raises(TrainingError, match="3 scenes for 4 folds"):
         folds_by_scene(ROWS.labels[:9], np.repeat(["a", "b", "c"], 3), 4, 0)
     scene = np.repeat([f"{i}" for i in range(6)], [5000, 10, 10, 10, 10, 10])
@@ -65,7 +59,7 @@ def test_a_classifier_never_sees_the_scenes_that_it_is_measured_on(monkeypatch, 
     assert [bool(seen & measured) for seen, measured in zip(trained, predicted, strict=True)] == [not by_scene] * 4
 
 
-def test_all_is_the_same_again_and_probabilities_are_those_of_the_classifiers_that_are_kept():
+def test_all_is_the_same_again_with_metrics_of_folds_and_of_all():
     first, second = validate("random-forest", max_rows=200), validate("random-forest", max_rows=200)
     np.testing.assert_array_equal(first.probability, second.probability)
     np.testing.assert_array_equal(first.calibrated, second.calibrated)
@@ -75,11 +69,8 @@ def test_all_is_the_same_again_and_probabilities_are_those_of_the_classifiers_th
     for number, classifier in enumerate(found.classifiers):
         held = found.fold == number
         np.testing.assert_array_equal(found.probability[held], pickle.loads(classifier).probability(ROWS.rows[held]))
-    assert validate("tree").classifiers == ()
-
-
-def test_metrics_of_folds_of_scenes_of_folds_of_rows_and_of_all():
     found = validate("tree")
+    assert found.classifiers == ()
     assert set(found.metrics) == set(METRICS) == set(found.calibrated_metrics)
     assert len(found.fold_metrics) == len(found.seconds_per_10000_rows) == 4
     assert all(set(fold) == set(METRICS) for fold in found.fold_metrics)

@@ -19,7 +19,7 @@ ROWS = make_rows()
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_every_family_ranks_right_rows_first(family):
+def test_every_family_ranks_right_rows_first_and_its_bytes_depend_on_rows_and_seed_alone(family):
     fitted = fit(family, ROWS.rows, ROWS.labels, seed=1)
     probability = fitted.probability(ROWS.rows)
     assert (probability.dtype, probability.shape) == (np.float64, ROWS.labels.shape)
@@ -27,10 +27,6 @@ def test_every_family_ranks_right_rows_first(family):
     assert probability.max() <= 1
     assert probability[ROWS.labels].mean() > probability[~ROWS.labels].mean() + 0.2
     assert fitted.probability(ROWS.rows[:0]).shape == (0,)
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_bytes_depend_on_rows_and_seed_alone(family):
     first, again, other = (to_onnx(fit(family, ROWS.rows, ROWS.labels, seed=k, max_rows=400)) for k in (1, 1, 2))
     assert first == again != other
 
@@ -108,17 +104,14 @@ def test_samples_keep_the_base_rate_both_classes_and_their_cap(monkeypatch):
     assert seen == [300, len(ROWS.rows)]
 
 
-@pytest.mark.parametrize(
-    ("family", "X", "y", "error", "message"),
-    [
+def test_rows_that_cannot_be_trained_on_are_refused():
+    for family, X, y, error, message in (
         ("c4.5", ROWS.rows, ROWS.labels, SettingsError, "c4.5"),
         ("tree", ROWS.rows.astype(float), ROWS.labels, TrainingError, "float64"),
         ("tree", ROWS.rows, ROWS.labels[:-1], TrainingError, "labels"),
         ("tree", ROWS.rows, np.ones_like(ROWS.labels), TrainingError, "one class"),
         ("tree", ROWS.rows[:0], ROWS.labels[:0], TrainingError, "one class"),
         ("tree", np.where(ROWS.rows > 3, np.float32(np.nan), ROWS.rows), ROWS.labels, TrainingError, "NaN"),
-    ],
-)
-def test_rows_that_cannot_be_trained_on_are_refused(family, X, y, error, message):
-    with pytest.raises(error, match=message):
-        fit(family, X, y, seed=0)
+    ):
+        with pytest.raises(error, match=message):
+            fit(family, X, y, seed=0)

@@ -1,5 +1,3 @@
-"""Metrics of rows and of pairs, by hand."""
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ def ranked(probability, labels, *slices, share=None):
     return mean_over_pairs(pair_metrics(probability, labels, slices, share))
 
 
-def test_precision_of_the_top_by_hand_and_of_ties_in_part():
+def test_precision_of_the_top_by_hand_of_ties_in_part_and_over_pairs():
     labels = np.array([True, False, True, True, False])
     probability = np.array([0.9, 0.8, 0.7, 0.6, 0.5])
     assert precision_of_top(probability, labels, 2) == 0.5
@@ -23,9 +21,6 @@ def test_precision_of_the_top_by_hand_and_of_ties_in_part():
     expected = (1 + 2 / 3) / 2
     for order in ([0, 1, 2, 3], [3, 2, 1, 0], [3, 0, 1, 2]):
         assert precision_of_top(probability[order], labels[order], 2) == pytest.approx(expected)
-
-
-def test_every_pair_counts_the_same():
     labels = np.concatenate([np.ones(300, bool), [False, True], [False, False]])
     probability = np.concatenate([np.ones(300), [0.9, 0.1], [0.5, 0.4]])
     found = ranked(probability, labels, slice(0, 300), slice(300, 302), slice(302, 304), slice(304, 304))

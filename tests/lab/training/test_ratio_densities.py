@@ -1,5 +1,3 @@
-"""Densities of distance ratios, learnt from training scenes."""
-
 from types import SimpleNamespace
 
 import numpy as np
