@@ -63,27 +63,42 @@ class Bench:
         matches = PairMatches(sets={kind: tuple(sets)}, pixel_factors=self.factors)
         how, seeds = self.hand_overs[estimator], self.settings.seeds
         for _, seed, found in estimates(matches, self.pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
-            about = {"experiment": experiment, "variant": variant, "ranking": ranking, "estimator": estimator}
-            yield self._record(found.F, seed=seed, status=str(found.status), **about)
+            yield self._record(experiment, variant, ranking, estimator, seed, found.F, str(found.status))
 
     def known(self, experiment: str, variant: str, ranking: str, F: FloatArray | None) -> Iterator[VariantRecord]:
         """Yield a record per seed, all alike, for a matrix that no estimator chose."""
         for seed in self.settings.seeds:
-            about = {"experiment": experiment, "variant": variant, "ranking": ranking, "estimator": NO_ESTIMATOR}
-            yield self._record(F, seed=seed, status="no_model" if F is None else "ok", **about)
+            yield self._record(experiment, variant, ranking, NO_ESTIMATOR, seed, F, "no_model" if F is None else "ok")
 
     def error_px(self, F: FloatArray | None) -> float:
         """Return the mean Sampson distance of the control points, the paper's measure; NaN without F."""
         return float("nan") if F is None else float(errors_px(F, *self.points).mean())
 
-    def _record(self, F: FloatArray | None, **about: Any) -> VariantRecord:
-        support = float("nan") if F is None else max(score(F, each.matches, each.pixel) for each in self.whole)
-        return VariantRecord(**self.key, **about, error_px=self.error_px(F), score=support)
+    def _record(
+        self, experiment: str, variant: str, ranking: str, estimator: str, seed: int, F: FloatArray | None, status: str
+    ) -> VariantRecord:
+        return VariantRecord(
+            **self.key,
+            experiment=experiment,
+            variant=variant,
+            ranking=ranking,
+            estimator=estimator,
+            seed=seed,
+            status=status,
+            error_px=self.error_px(F),
+            score=float("nan") if F is None else max(score(F, each.matches, each.pixel) for each in self.whole),
+        )
 
     def precision(self, variant: str, ranking: str, ordered: MatchSet) -> PrecisionRecord:
         """Return the precision of an ordered set, whose matches are among those of the first set of `whole`."""
         right = self.whole[0].right_of(ordered.one_to_one())
-        found: dict[str, Any] = {f"precision_{depth}": precision_at(right, depth) for depth in (10, 100)}
-        found |= {"average_precision": average_precision(right)}
-        found |= {"matches": len(right), "right": int(np.count_nonzero(right))}
-        return PrecisionRecord(**self.key, variant=variant, ranking=ranking, **found)
+        return PrecisionRecord(
+            **self.key,
+            variant=variant,
+            ranking=ranking,
+            matches=len(right),
+            right=int(np.count_nonzero(right)),
+            precision_10=precision_at(right, 10),
+            precision_100=precision_at(right, 100),
+            average_precision=average_precision(right),
+        )

@@ -80,10 +80,16 @@ def run_record(
             near = sampson_distance(F, estimate.x1, estimate.x2) < threshold_px
             errors_deg = pose_errors(F, (cameras[0], cameras[1]), estimate.x1[near], estimate.x2[near])
             measured["rotation_deg"], measured["translation_deg"] = errors_deg
-    key |= {"pair_id": pair.pair_id, "scene": pair.scene, "matches": len(estimate.x1)}
-    key |= {"status": str(estimate.status), "geometry": str(estimate.geometry)}
-    key |= {name: getattr(estimate, name) for name in ("support", "confidence", "iterations")}
-    return RunRecord(**key, **measured)
+    return RunRecord(
+        **key,
+        **{name: getattr(estimate, name) for name in ("support", "confidence", "iterations")},
+        **measured,
+        pair_id=pair.pair_id,
+        scene=pair.scene,
+        status=str(estimate.status),
+        geometry=str(estimate.geometry),
+        matches=len(estimate.x1),
+    )
 
 
 def run_pair(

@@ -23,7 +23,7 @@ from epiprior_lab.pairsets import Pair, npz_bytes
 _STORED = {"two_keypoints": TwoKeypointMatches, "table": StandardTable, "union": Union, "united_frames": MatchFrames}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PairRows:
     """Rows and labels of one pair under one roll hypothesis, with the features of one preset.
 
@@ -49,18 +49,29 @@ class PairRows:
 
 def extract_rows(pair: Pair, presets: Sequence[str], labels: LabelSettings | None = None) -> dict[str, list[PairRows]]:
     """Run the library up to the first classifier and label the matches, for every preset and roll hypothesis."""
-    rows: dict[str, list[PairRows]] = {preset: [] for preset in presets}
-    for preset in presets:
-        own = find_preset(preset)
-        found = detect_pair(pair, own.features)
-        features1, features2 = found.features
-        prepared = prepare_pair(*found.photographs, own, features1=features1, features2=features2)
-        candidates = [hypothesis.find_candidates(prepared, roll, own) for roll in roll_hypotheses(prepared, own)]
-        right = _labels(pair, prepared, [each.united.frames for each in candidates], labels)
-        for each, own_right in zip(candidates, right, strict=True):
-            found_rows = (each.roll_deg, each.two_keypoints, prepared.table, each.united, own_right)
-            rows[preset].append(PairRows(pair.pair_id, pair.scene, preset, *found_rows))
-    return rows
+    return {preset: _preset_rows(pair, preset, labels) for preset in presets}
+
+
+def _preset_rows(pair: Pair, preset: str, settings: LabelSettings | None) -> list[PairRows]:
+    own = find_preset(preset)
+    found = detect_pair(pair, own.features)
+    features1, features2 = found.features
+    prepared = prepare_pair(*found.photographs, own, features1=features1, features2=features2)
+    candidates = [hypothesis.find_candidates(prepared, roll, own) for roll in roll_hypotheses(prepared, own)]
+    labels = _labels(pair, prepared, [each.united.frames for each in candidates], settings)
+    return [
+        PairRows(
+            pair_id=pair.pair_id,
+            scene=pair.scene,
+            preset=preset,
+            roll_deg=each.roll_deg,
+            two_keypoints=each.two_keypoints,
+            table=prepared.table,
+            united=each.united,
+            united_labels=right,
+        )
+        for each, right in zip(candidates, labels, strict=True)
+    ]
 
 
 def _labels(
