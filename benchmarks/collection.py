@@ -1,0 +1,168 @@
+"""A large collection: seconds per stage, memory, what retrieval finds, and whether workers change anything.
+
+    python benchmarks/collection.py data/scenes/*/facades-easy [--images 1000] [--compare 100] [--out /tmp/collection]
+
+The photographs of pair sets are turned, cropped and relit until there are enough, so that it is known which show one
+scene. The collection is matched (`similar:20`, cascade) and a database is written. Then the first of its images are
+matched by one worker, by two, and by two of a dask cluster of which one is killed on the way, and the databases are
+compared row by row. Give the machine nothing else to do: seconds are of the clock.
+"""
+
+import argparse
+import contextlib
+import resource
+import shutil
+import sqlite3
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from distributed import LocalCluster
+
+from epiprior.collection.database import CameraSettings, infer_cameras, write_database
+from epiprior.collection.run import MatchedCollection, match_collection
+from epiprior_lab.pairsets import read_pair_set
+
+WIDTH = 640
+CONFIDENT = 0.5
+KILLED_AFTER = 0.3  # of the pairs
+
+
+def make_images(roots: Sequence[Path], count: int, folder: Path) -> dict[str, str]:
+    """Write `count` JPEG files, as many of every photograph, and return which scene each shows."""
+    pairs = [pair for root in roots for pair in read_pair_set(root).pairs]
+    photographs = [
+        (pair.pair_id, side, image) for pair in pairs for side, image in ((1, pair.image1), (2, pair.image2))
+    ]
+    folder.mkdir(parents=True)
+    scenes = {}
+    for number in range(count):
+        scene, side, image = photographs[number % len(photographs)]
+        rng = np.random.default_rng([number, 20])
+        name = f"{scene}_{side}_{number // len(photographs):02d}.jpg"
+        pixels = cv2.imread(str(image))
+        height, width = pixels.shape[:2]
+        # A similarity that keeps at least four fifths of the picture, brightness and contrast.
+        turn = rng.uniform(-20, 20) + 90 * rng.integers(0, 4) * (number >= len(photographs))
+        M = cv2.getRotationMatrix2D((width / 2, height / 2), turn, WIDTH / width * rng.uniform(1.0, 1.25))
+        M[:, 2] += np.array([WIDTH, WIDTH * height / width]) / 2 - (width / 2, height / 2) + rng.uniform(-30, 30, 2)
+        changed = cv2.warpAffine(pixels, M, (WIDTH, WIDTH * height // width), flags=cv2.INTER_AREA)
+        changed = 255 * (changed / 255) ** rng.uniform(0.7, 1.4) * rng.uniform(0.75, 1.0)
+        cv2.imwrite(str(folder / name), np.rint(changed).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 92])
+        scenes[name] = scene
+    return scenes
+
+
+class Clock:
+    """Seconds from one stage to the next, by what `match_collection` reports."""
+
+    def __init__(self) -> None:
+        self.last = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+        self.told = 0.0
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Take note of progress; print a line a minute."""
+        now = time.perf_counter()
+        if now - self.told > 60:
+            self.told = now
+            print(f"    {stage}: {done} of {total}", flush=True)
+        if stage == "pairs" and "retrieval" not in self.seconds:
+            self.stop("retrieval")  # and the first pair
+        if done == total:
+            self.stop(stage)
+
+    def stop(self, stage: str) -> None:
+        """End a stage."""
+        now = time.perf_counter()
+        self.seconds[stage], self.last = now - self.last, now
+
+
+def rows(database: Path) -> list[str]:
+    """Return all that a database holds."""
+    with contextlib.closing(sqlite3.connect(database)) as opened:
+        return list(opened.iterdump())
+
+
+def match(images: Path | Sequence[Path], out: Path, clock: Clock, **how: object) -> MatchedCollection:
+    """Match a collection and write its database, `out` with the suffix .db."""
+    matched = match_collection(images, pairs="similar:20", work=out, on_progress=clock, **how)  # type: ignore[arg-type]
+    write_database(out.with_suffix(".db"), matched, infer_cameras(matched.images, CameraSettings()), CONFIDENT)
+    clock.stop("database")
+    return matched
+
+
+def tell(matched: MatchedCollection, scenes: dict[str, str], clock: Clock) -> None:
+    """Print what was found, and what it cost."""
+    names = [image.name for image in matched.images.images]
+    same = [scenes[names[a]] == scenes[names[b]] for a, b in matched.pairs]
+    sure = [pair.confidence >= CONFIDENT for pair in matched]
+    sizes = np.unique([scenes[name] for name in names], return_counts=True)[1]
+    shown = int((sizes * (sizes - 1) // 2).sum())
+    print(f"  {len(names)} images of {len(sizes)} scenes, {len(same)} pairs of {len(names) * (len(names) - 1) // 2}")
+    print(f"  of {shown} pairs of one scene {sum(same) / shown:.1%} are chosen,")
+    print(f"  of these {sum(s and c for s, c in zip(same, sure, strict=True)) / sum(same):.1%} get a geometry;")
+    others = len(same) - sum(same)
+    print(f"  of {others} pairs of two scenes {sum(c and not s for s, c in zip(same, sure, strict=True))} do")
+    for stage, seconds in clock.seconds.items():
+        print(f"  {stage:10s} {seconds:8.1f} s")
+    own, worker = (
+        resource.getrusage(who).ru_maxrss / 2**20 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    print(f"  peak memory: the command {own:.2f} GiB, the largest worker {worker:.2f} GiB")
+
+
+def compare(images: Sequence[Path], out: Path) -> None:
+    """Print seconds and whether the rows are the same: one worker, two, and a cluster that loses a worker."""
+    seconds, held = {}, {}
+    for workers in (1, 2):
+        clock = Clock()
+        match(images, out / f"by-{workers}", clock, workers=workers)
+        seconds[workers], held[workers] = clock.seconds, rows(out / f"by-{workers}.db")
+        print(
+            f"  {len(images)} images, {workers} workers: "
+            + ", ".join(f"{k} {v:.1f} s" for k, v in clock.seconds.items())
+        )
+    one, two = (sum(seconds[workers][stage] for stage in ("features", "pairs")) for workers in (1, 2))
+    same = held[1] == held[2]
+    print(f"  features and pairs by two workers {one / two:.2f} times as fast as by one; same rows: {same}")
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        victim = next(iter(cluster.workers.values()))
+        clock, done = Clock(), threading.Event()
+
+        def progress(stage: str, count: int, total: int) -> None:
+            clock(stage, count, total)
+            if stage == "pairs" and count > KILLED_AFTER * total and not done.is_set():
+                done.set()
+                victim.process.process.kill()
+
+        matched = match_collection(
+            images, pairs="similar:20", work=out / "cluster", on_progress=progress, scheduler=cluster.scheduler_address
+        )
+    write_database(out / "cluster.db", matched, infer_cameras(matched.images, CameraSettings()), CONFIDENT)
+    print(f"  a cluster of two, one of them killed: same rows: {rows(out / 'cluster.db') == held[1]}")
+
+
+def main() -> None:
+    """Make the images, match them, compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sets", nargs="+", type=Path, help="folders with a pairs.csv")
+    parser.add_argument("--images", type=int, default=1000)
+    parser.add_argument("--compare", type=int, default=100, help="so many of them by one worker, two and a cluster")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("/tmp/collection"), help="emptied first")
+    asked = parser.parse_args()
+    shutil.rmtree(asked.out, ignore_errors=True)
+    scenes = make_images(asked.sets, asked.images, asked.out / "images")
+    if asked.images > asked.compare:
+        clock = Clock()
+        tell(match(asked.out / "images", asked.out / "all", clock, workers=asked.workers), scenes, clock)
+    if asked.compare:
+        compare(sorted((asked.out / "images").iterdir())[: asked.compare], asked.out)
+
+
+if __name__ == "__main__":
+    main()
