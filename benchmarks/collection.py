@@ -1,6 +1,6 @@
 """A large collection: seconds per stage, memory, what retrieval finds, and whether workers change anything.
 
-    python benchmarks/collection.py data/scenes/*/facades-easy [--images 1000] [--compare 100] [--out /tmp/collection]
+    python benchmarks/collection.py data/scenes/*/facades-easy [--images 1000] [--compare 100] [--out FOLDER]
 
 The photographs of pair sets are turned, cropped and relit until there are enough, so that it is known which show one
 scene. The collection is matched (`similar:20`, cascade) and a database is written. Then the first of its images are
@@ -11,8 +11,8 @@ compared row by row. Give the machine nothing else to do: seconds are of the clo
 import argparse
 import contextlib
 import resource
-import shutil
 import sqlite3
+import tempfile
 import threading
 import time
 from collections.abc import Sequence
@@ -147,21 +147,26 @@ def compare(images: Sequence[Path], out: Path) -> None:
 
 
 def main() -> None:
-    """Make the images, match them, compare."""
+    """Read what is asked for, and do it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="+", type=Path, help="folders with a pairs.csv")
     parser.add_argument("--images", type=int, default=1000)
     parser.add_argument("--compare", type=int, default=100, help="so many of them by one worker, two and a cluster")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("/tmp/collection"), help="emptied first")
+    parser.add_argument("--out", type=Path, help="a new folder that is kept; default: a temporary one")
     asked = parser.parse_args()
-    shutil.rmtree(asked.out, ignore_errors=True)
-    scenes = make_images(asked.sets, asked.images, asked.out / "images")
+    with contextlib.ExitStack() as stack:
+        run(asked, asked.out or Path(stack.enter_context(tempfile.TemporaryDirectory())))
+
+
+def run(asked: argparse.Namespace, out: Path) -> None:
+    """Make the images below `out`, match them, compare."""
+    scenes = make_images(asked.sets, asked.images, out / "images")
     if asked.images > asked.compare:
         clock = Clock()
-        tell(match(asked.out / "images", asked.out / "all", clock, workers=asked.workers), scenes, clock)
+        tell(match(out / "images", out / "all", clock, workers=asked.workers), scenes, clock)
     if asked.compare:
-        compare(sorted((asked.out / "images").iterdir())[: asked.compare], asked.out)
+        compare(sorted((out / "images").iterdir())[: asked.compare], out)
 
 
 if __name__ == "__main__":
