@@ -9,10 +9,12 @@ from calls import note_calls
 from epiprior import two_view
 from epiprior.errors import EstimatorError, ImageError, SettingsError
 from epiprior.estimators.handover import HandOver
+from epiprior.estimators.run import estimate_from_matches
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.matching import pair as matching
+from epiprior.matching.baselines import snn_matches
 from epiprior.presets import DEFAULT, FeatureSettings, find_preset
 from epiprior.two_view import estimate_fundamental
 from epiprior.types import MatchSet, RankedMatches, Status
@@ -62,7 +64,8 @@ def test_images_are_ranked_with_the_preset_and_ranked_matches_are_used(ranking):
     assert estimate.seconds["votes"] == 0.5
     assert estimate_fundamental(picture, picture, ranked=ranked, mode="standard").status is Status.TOO_FEW_MATCHES
     assert ranking["calls"] == []
-    estimate = estimate_fundamental(texture(), texture(), preset="paper", estimator="prosac", threshold_px=2.5)
+    how = {"preset": "paper", "estimator": "prosac", "mode": "preprocess", "threshold_px": 2.5}
+    estimate = estimate_fundamental(texture(), texture(), **how)
     assert [call["settings"].name for call in ranking["calls"]] == ["paper"]
     assert estimate.estimator == "prosac"
     assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 2.5)
@@ -71,9 +74,9 @@ def test_images_are_ranked_with_the_preset_and_ranked_matches_are_used(ranking):
 def test_options_that_are_unknown_or_contradict_each_other_are_refused_before_any_work(ranking):
     for options, named in (
         ({"estimator": "usak"}, "'usak'"),
-        ({"mode": "waterfall"}, "mode is 'waterfall', known: preprocess, standard, cascade"),
+        ({"mode": "waterfall"}, "mode is 'waterfall', known: cascade, preprocess, standard"),
         ({"mode": "cascade", "hand_over": HandOver()}, "hand_over is for one input"),
-        ({"rule": KEEP_ALL}, "rule is of the cascade, but mode is 'preprocess'"),
+        ({"rule": KEEP_ALL, "hand_over": HandOver()}, "rule is of the cascade, but mode is 'preprocess'"),
         ({"rule": KEEP_ALL, "mode": "standard"}, "rule is of the cascade, but mode is 'standard'"),
     ):
         with pytest.raises((EstimatorError, SettingsError), match=named):
@@ -81,19 +84,17 @@ def test_options_that_are_unknown_or_contradict_each_other_are_refused_before_an
     assert ranking["calls"] == []
 
 
-def test_a_kept_estimate_is_the_one_on_standard_matches_and_what_was_ranked_before_is_used(ranking):
-    kept = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_ALL)
+def test_a_kept_estimate_is_the_one_on_simple_matches_and_what_was_ranked_before_is_used(ranking):
+    kept = estimate_fundamental(LEFT, RIGHT, rule=KEEP_ALL)
     assert ranking["calls"] == []
-    standard = estimate_fundamental(LEFT, RIGHT, mode="standard")
-    assert kept.F.tobytes() == standard.F.tobytes()
-    assert kept.input == "standard"
-    assert set(kept.seconds) == set(standard.seconds)
-    good, poor = make_pair(), make_pair(inliers=7, outliers=0)
-    picture = texture()
-    kept = estimate_fundamental(picture, picture, mode="cascade", ranked=ranked_of(poor.matches, good.matches))
-    used = estimate_fundamental(picture, picture, mode="cascade", ranked=ranked_of(good.matches, poor.matches))
+    simple = estimate_from_matches([snn_matches(LEFT, RIGHT)], estimator="epiprior", hand_over=HandOver())
+    assert kept.F.tobytes() == simple.F.tobytes()
+    assert (kept.input, set(kept.seconds)) == ("snn", {"features", "standard matches", "estimator", "support"})
+    good = make_pair()
+    ranked = ranked_of(good.matches, good.matches)
+    used = estimate_fundamental(LEFT, RIGHT, mode="cascade", ranked=ranked, rule=KEEP_NONE)
     assert ranking["calls"] == []
-    assert (kept.input, used.input) == ("standard", "default")
+    assert (used.input, estimate_fundamental(LEFT, RIGHT, ranked=ranked).input) == ("default", "default")
     assert good.error_px(used.F) < 0.6
 
 
@@ -107,13 +108,13 @@ def test_what_is_not_kept_is_ranked_from_the_same_features(ranking, monkeypatch,
     assert len(call["features1"]) > 50
     assert call["features1"].image_size == call["features2"].image_size == (240, 180)
     assert (estimate.status, estimate.input) == (Status.OK, preset)
-    assert {"standard input", "votes", "estimator"} <= set(estimate.seconds)
+    assert {"first input", "votes", "estimator"} <= set(estimate.seconds)
     assert estimate.seconds["votes"] == 0.5
 
 
 def test_shared_features_change_no_bit(tiny_model):
     twice = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE)
-    once = estimate_fundamental(LEFT, RIGHT)
+    once = estimate_fundamental(LEFT, RIGHT, mode="preprocess")
     assert twice.status is Status.OK
     assert twice.F.tobytes() == once.F.tobytes()
     assert np.array_equal(twice.inliers, once.inliers)
@@ -158,8 +159,8 @@ def test_a_poor_estimate_is_better_than_none_and_else_the_reason_is_of_the_ranke
     estimate = estimate_fundamental(LEFT, RIGHT, mode="cascade", rule=KEEP_NONE)
     assert len(ranking["calls"]) == 1
     assert estimate.status is Status.OK
-    assert estimate.input == "standard"
-    assert "standard input" in estimate.seconds
+    assert estimate.input == "snn"
+    assert "first input" in estimate.seconds
     ranking["matches"] = make_pair(scene="plane", seed=2).matches
     estimate = estimate_fundamental(texture(), np.zeros((200, 300), np.uint8), mode="cascade")
     assert estimate.status in (Status.DEGENERATE, Status.NO_MODEL)
@@ -170,12 +171,10 @@ def test_generalized_ransac_has_an_input_of_its_own(ranking):
     estimate = estimate_fundamental(LEFT, RIGHT, estimator="generalized-ransac", mode="standard")
     assert (estimate.status, estimate.input) == (Status.OK, "generalized")
     assert {"generalized matches", "estimator"} <= set(estimate.seconds)
-    second = estimate_fundamental(LEFT, RIGHT, estimator="generalized-ransac", mode="cascade", rule=KEEP_NONE)
-    assert second.input == "default"
-    assert ranking["calls"] == [{"settings": DEFAULT, "features1": None, "features2": None}]
+    assert estimate_fundamental(LEFT, RIGHT, estimator="generalized-ransac", rule=KEEP_ALL).input == "snn"
 
 
-@pytest.mark.parametrize(("rule", "taken"), [(KEEP_ALL, "standard"), (KEEP_NONE, "default")])
+@pytest.mark.parametrize(("rule", "taken"), [(KEEP_ALL, "snn"), (KEEP_NONE, "default")])
 def test_the_rule_of_the_models_is_used(ranking, monkeypatch, rule, taken):
     monkeypatch.setattr(two_view, "load_cascade_rule", lambda: rule)
-    assert estimate_fundamental(LEFT, RIGHT, mode="cascade").input == taken
+    assert estimate_fundamental(LEFT, RIGHT).input == taken

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from epiprior.errors import SettingsError
 
-Mode = Literal["preprocess", "standard", "cascade"]
+Mode = Literal["cascade", "preprocess", "standard"]
 
 DETECTORS = ("sift", "colmap-sift")
 FRAMES = ("feature", "2keypoint")

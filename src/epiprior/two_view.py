@@ -1,4 +1,4 @@
-"""Two photographs in, F out: on ranked matches, on standard matches, or on ranked ones where standard ones fail."""
+"""Two photographs in, F out: on ranked matches, on standard matches, or on ranked ones where simple ones fail."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,13 +10,15 @@ from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.estimators.run import estimate_from_matches
 from epiprior.features.images import Photograph, View, blank_photograph, load_photograph
 from epiprior.features.shortage import explain_shortage
-from epiprior.matching.baselines import generalized_matches, standard_set
+from epiprior.matching.baselines import generalized_matches, snn_features, snn_set, standard_set
 from epiprior.matching.pair import Stopwatch, prepare_pair
-from epiprior.presets import PAPER, Mode, PreprocessSettings, check_choice, find_preset
+from epiprior.presets import PAPER, FeatureSettings, Mode, PreprocessSettings, check_choice, find_preset
 from epiprior.rank import rank_matches
 from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
 from epiprior.verification.cascade import CascadeRule, load_cascade_rule
 from epiprior.verification.confidence import check_min_confidence
+
+_Pair = tuple[Features | None, Features | None]
 
 
 def estimate_fundamental(
@@ -24,7 +26,7 @@ def estimate_fundamental(
     image2: View | None,
     *,
     estimator: str = "epiprior",
-    mode: Mode = "preprocess",
+    mode: Mode | None = None,
     preset: str = "default",
     seed: int = 0,
     threshold_px: float | None = None,
@@ -43,9 +45,10 @@ def estimate_fundamental(
     image1, image2 : The photographs: a file that OpenCV reads, or uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4)
         RGBA. None only where features are handed in, see `rank_matches`.
     estimator : Name of a robust estimator, see `epiprior.list_estimators`; by default the one that did best.
-    mode : ``preprocess``: matches are ranked by `rank_matches` first. ``standard``: the standard matches X_L, the
-        baseline; for `generalized-ransac` those of `generalized_matches`. ``cascade``: the standard matches first; the
-        ranked ones only if `rule` does not keep that estimate. Features are found once for both.
+    mode : ``cascade``: simple matches first, those of `snn_matches`; the ranked ones of `rank_matches` only if `rule`
+        does not keep that estimate. Features are found once for both. ``preprocess``: ranked matches at once.
+        ``standard``: the standard matches X_L, the paper's baseline; for `generalized-ransac` those of
+        `generalized_matches`. None: ``preprocess`` where `ranked` or `hand_over` is given, else ``cascade``.
     preset : ``default``, ``fast``, ``thorough`` or ``paper``, see `rank_matches`.
     seed : >= 0; the same seed gives the same bytes.
     threshold_px : Inlier threshold, instead of the hand-over's. Like all thresholds it is meant at working size: an
@@ -61,9 +64,9 @@ def estimate_fundamental(
     Returns
     -------
     `x1`, `x2`, `inliers`, `F` and `H` in pixels of the images as given; with the images in the other order, the same
-    transposed. `input` tells which matches it comes from. A cascade that did not keep the estimate on standard matches
-    counts the seconds of that attempt as ``standard input``, beside those of the second. It returns the second
-    estimate, except where only the first is ``ok``.
+    transposed. `input` tells which matches it comes from. A cascade that did not keep the estimate on simple matches
+    counts the seconds of that attempt as ``first input``, beside those of the second. It returns the second estimate,
+    except where only the first is ``ok``, or tells of a homography while the second tells nothing.
 
     Raises
     ------
@@ -74,6 +77,7 @@ def estimate_fundamental(
     Paper, section 4.7; its results end with the advice that ``cascade`` follows.
     """
     find_estimator(estimator)
+    mode = mode or ("cascade" if ranked is None and hand_over is None else "preprocess")
     check_choice("mode", mode, get_args(Mode))
     if mode != "cascade" and rule is not None:
         raise SettingsError(f"rule is of the cascade, but mode is {mode!r}")
@@ -82,8 +86,7 @@ def estimate_fundamental(
     if mode == "cascade" and hand_over is not None:
         raise SettingsError("hand_over is for one input, but mode 'cascade' has two")
     chosen = settings or find_preset(preset)
-    found = (features1, features2)
-    given: dict[str, Any] = {"features1": features1, "features2": features2}
+    given = found = (features1, features2)
 
     def estimate(kind: str, sets: Sequence[MatchSet], seconds: Mapping[str, float]) -> FundamentalEstimate:
         how = hand_over or load_hand_overs()[estimator][chosen.model if kind == chosen.name else kind]
@@ -104,30 +107,42 @@ def estimate_fundamental(
 
     first = None
     if mode != "preprocess":
-        as_paper = replace(chosen.features, root=PAPER.features.root, centred=PAPER.features.centred)
-        watch, kind = Stopwatch(), "standard"
-        if estimator == "generalized-ransac":
-            kind = "generalized"
-            with watch.step("generalized matches"):
-                matches = generalized_matches(image1, image2, features=as_paper, **given)
-        elif ranked is not None:
+        kind = "snn" if mode == "cascade" else "generalized" if estimator == "generalized-ransac" else "standard"
+        watch = Stopwatch()
+        if kind == "standard" and ranked is not None:
             matches = ranked.standard
         else:
-            baseline = replace(PAPER, features=as_paper)
-            prepared = prepare_pair(image1, image2, baseline, **given, watch=watch, ordered=True)
-            first_found, second_found = prepared.features
-            found = (second_found, first_found) if prepared.turned else (first_found, second_found)
-            matches = standard_set(prepared, baseline)
+            matches, found = _simple_matches(kind, image1, image2, chosen.features, given, watch)
         first = estimate(kind, [matches], watch.seconds)
-        if mode == "standard" or (rule or load_cascade_rule()).keeps(first):
+        if mode == "standard":
+            return first
+        rule = rule or load_cascade_rule()
+        if rule.keeps(first):
             return first
     if ranked is None:
         ranked = rank_matches(image1, image2, settings=chosen, features1=found[0], features2=found[1])
     second = estimate(chosen.name, ranked.sets, ranked.seconds)
-    if first is None:
+    if first is None or rule is None:
         return second
-    best = first if first and not second else second
-    return replace(best, seconds={"standard input": sum(first.seconds.values()), **second.seconds})
+    best = rule.choose(first, second)
+    return replace(best, seconds={"first input": sum(first.seconds.values()), **second.seconds})
+
+
+def _simple_matches(
+    kind: str, image1: View | None, image2: View | None, features: FeatureSettings, given: _Pair, watch: Stopwatch
+) -> tuple[MatchSet, _Pair]:
+    """Return the matches of an input that is not ranked, and the features of both images where they are of use."""
+    as_paper = replace(features, root=PAPER.features.root, centred=PAPER.features.centred)
+    if kind == "generalized":
+        with watch.step("generalized matches"):
+            how: dict[str, Any] = {"features": as_paper, "features1": given[0], "features2": given[1]}
+            return generalized_matches(image1, image2, **how), given
+    settings = replace(PAPER, features=snn_features(features) if kind == "snn" else as_paper)
+    how = {"features1": given[0], "features2": given[1], "watch": watch, "ordered": True}
+    prepared = prepare_pair(image1, image2, settings, **how)
+    first, second = prepared.features
+    matches = snn_set(prepared) if kind == "snn" else standard_set(prepared, settings)
+    return matches, (second, first) if prepared.turned else (first, second)
 
 
 def _size_of(image: View | None) -> tuple[int, int]:

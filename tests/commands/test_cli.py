@@ -51,7 +51,7 @@ def test_estimate_as_json_as_text_and_with_an_unknown_confidence(library):
     wanted = {"status": "ok", "support": PAIR.right.sum(), "matches": len(PAIR.matches), "geometry": "general"}
     wanted |= {"seed": 5, "confidence": 0.875, "preset": "default", "seconds": {"estimator": 0.25}}
     assert {name: printed[name] for name in wanted} == wanted
-    asked = {"images": (Path("a.jpg"), Path("b.jpg")), "estimator": "prosac", "mode": "preprocess", "seed": 5}
+    asked = {"images": (Path("a.jpg"), Path("b.jpg")), "estimator": "prosac", "mode": "cascade", "seed": 5}
     asked |= {"settings": find_preset("default"), "threshold_px": 2.5, "min_confidence": 0.4}
     assert library.options() == asked
     result = run("estimate", "a", "b", "--text")

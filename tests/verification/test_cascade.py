@@ -6,17 +6,19 @@ import pytest
 
 from epiprior.errors import SettingsError
 from epiprior.settings_file import find_settings_file
-from epiprior.types import Status
-from epiprior.verification.cascade import CascadeRule, load_cascade_rule, save_cascade_rule
+from epiprior.types import Geometry, Status
+from epiprior.verification.cascade import FLAT, CascadeRule, load_cascade_rule, save_cascade_rule
 from synthetic import HEIGHT, WIDTH, make_pair, run
 
 
 @pytest.mark.parametrize(("confidence", "kept"), [(0.9, True), (0.89, False), (np.nan, False), (1.0, True)])
 def test_confidence_decides_where_there_is_an_F(confidence, kept):
     rule = CascadeRule(min_confidence=0.9)
-    assert rule.keeps_numbers("ok", confidence) is kept
+    assert rule.keeps_numbers("ok", "general", confidence) is kept
     for status in set(Status) - {Status.OK}:
-        assert not rule.keeps_numbers(status, confidence)
+        assert not rule.keeps_numbers(status, "none", confidence)
+    for geometry in FLAT:  # sure as well, of a homography
+        assert rule.keeps_numbers("degenerate", str(geometry), 1 - confidence) is kept
 
 
 def test_an_estimate_is_judged_by_its_own_numbers():
@@ -24,7 +26,20 @@ def test_an_estimate_is_judged_by_its_own_numbers():
     found = run("usac", replace(pair.matches, image_sizes=((WIDTH, HEIGHT), (WIDTH, HEIGHT))))
     assert CascadeRule(min_confidence=found.confidence).keeps(found)
     assert not CascadeRule(min_confidence=found.confidence + 1e-6).keeps(found)
-    assert not CascadeRule(min_confidence=0).keeps(replace(found, status=Status.DEGENERATE))
+    assert not CascadeRule(min_confidence=0).keeps(replace(found, status=Status.DEGENERATE, geometry=Geometry.NONE))
+
+
+def test_what_a_cascade_answers():
+    good = run("usac", make_pair(inliers=200, outliers=100).matches)
+    flat = replace(good, status=Status.DEGENERATE, geometry=Geometry.PLANAR, confidence=0.05)
+    nothing = replace(good, status=Status.NO_MODEL, geometry=Geometry.NONE, confidence=0.05)
+    rule = CascadeRule(min_confidence=0.99)
+    unsure = replace(good, confidence=0.7)
+    for first, second, answer in (
+        (unsure, flat, 0), (unsure, good, 1), (flat, unsure, 1), (flat, nothing, 0), (nothing, flat, 1),
+        (flat, flat, 1), (replace(flat, confidence=0.005), good, 0), (replace(good, confidence=0.995), good, 0),
+    ):  # fmt: skip
+        assert rule.choose(first, second) is (first, second)[answer]
 
 
 def test_a_file_is_read_as_written_or_its_culprit_named_the_packaged_one_is_valid_and_without_one_the_defaults_hold(

@@ -24,8 +24,8 @@ Estimator = Annotated[str, typer.Option(help="See 'epiprior estimators'.")]
 Mode = Annotated[
     presets.Mode,
     typer.Option(
-        help="'preprocess': matches are ranked by probability first. 'standard': the paper's standard matches. "
-        "'cascade': standard matches first; ranked ones only if that confidence is low."
+        help="'cascade': simple matches first; ranked by probability only if that does not convince. 'preprocess': "
+        "ranked at once. 'standard': the paper's standard matches."
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Of the random draw; same seed, same result.")]

@@ -53,7 +53,7 @@ def estimate(
     image2: options.Image2,
     *,
     estimator: options.Estimator = "epiprior",
-    mode: options.Mode = "preprocess",
+    mode: options.Mode = "cascade",
     seed: options.Seed = 0,
     threshold: options.Threshold = None,
     min_confidence: options.MinConfidence = None,
@@ -70,7 +70,7 @@ def estimate(
 
     epiprior estimate left.jpg right.jpg --estimator usac --json
 
-    epiprior estimate left.jpg right.jpg --mode cascade
+    epiprior estimate left.jpg right.jpg --mode preprocess
     """
     from epiprior import estimate_fundamental
 
@@ -106,14 +106,16 @@ def draw(
     from epiprior.io.output import PICTURES, check_output
 
     check_output(out, PICTURES)
-    from epiprior import estimate_fundamental, rank_matches, standard_matches
+    from epiprior import estimate_fundamental, rank_matches, snn_matches, standard_matches
     from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
 
     settings = options.chosen_settings(preset, features, max_image_size, max_features)
     ranked = None if mode == "standard" else rank_matches(image1, image2, settings=settings)
     estimation = partial(estimate_fundamental, estimator=estimator, mode=mode, seed=seed, threshold_px=threshold)
     found = estimation(image1, image2, settings=settings, ranked=ranked)
-    if ranked is None or found.input != settings.name:
+    if found.input == "snn":
+        shown = snn_matches(image1, image2, features=settings.features)
+    elif ranked is None or found.input != settings.name:
         shown = standard_matches(image1, image2, features=replace(settings.features, root=False))
     else:
         shown = min(ranked.sets, key=lambda s: abs(math.remainder(s.roll_deg - found.roll_deg, 360)))

@@ -75,21 +75,33 @@ def standard_matches(
     return standard_set(prepared, settings)
 
 
+def snn_features(features: FeatureSettings) -> FeatureSettings:
+    """Return settings that find the same features, with descriptors as `snn_matches` takes them: RootSIFT."""
+    return replace(features, root=True, centred=False)
+
+
 def snn_matches(
     image1: View | None,
     image2: View | None,
     *,
+    features: FeatureSettings = DEFAULT.features,
     max_distance_ratio: float = 0.85,
     features1: Features | None = None,
     features2: Features | None = None,
 ) -> MatchSet:
     """Return mutual nearest neighbours of RootSIFT below a ratio, ordered by it: the strongest simple baseline.
 
-    Images and features are as for `standard_matches`. Matches below `max_distance_ratio` are kept, a ratio of Euclidean
-    distances of the descriptors, as users of this baseline compute it.
+    Images and features are as for `standard_matches`; `features` says how they are found. Matches below
+    `max_distance_ratio` are kept, a ratio of Euclidean distances of the descriptors, as users of this baseline compute
+    it.
     """
-    settings = replace(DEFAULT, features=FeatureSettings(root=True, centred=False))
+    settings = replace(DEFAULT, features=snn_features(features))
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, ordered=True)
+    return snn_set(prepared, max_distance_ratio)
+
+
+def snn_set(prepared: PreparedPair, max_distance_ratio: float = 0.85) -> MatchSet:
+    """Return `snn_matches` of a pair that was prepared with `snn_features`."""
     forward = prepared.forward
     distance, distance2 = (np.sqrt(np.maximum(2 - 2 * s.astype(np.float64), 0)) for s in (forward.best, forward.second))
     ratio = np.divide(distance, distance2, out=np.ones_like(distance), where=distance2 > 0)

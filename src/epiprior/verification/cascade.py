@@ -1,8 +1,9 @@
-"""When an estimate on standard matches is good enough to do without preprocessing (paper, end of the results).
+"""When an estimate on simple matches is good enough to do without preprocessing (paper, end of the results).
 
 The paper recommends preprocessing "only on challenging image pairs or when the standard method failed". Here the
-standard method fails if its confidence is too low. One number serves all estimators; it is chosen on validation scenes
-and kept in ``models/cascade.json``.
+standard method is the strongest simple one, `epiprior.snn_matches`, and it fails if it is not sure: neither of its F,
+nor that a homography relates the images. One number serves all estimators; it is chosen on validation scenes and kept
+in ``models/cascade.json``.
 """
 
 import json
@@ -10,13 +11,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from epiprior.settings_file import find_settings_file, parse_settings, read_settings_file
-from epiprior.types import FundamentalEstimate, Status
+from epiprior.types import FundamentalEstimate, Geometry, Status
 from epiprior.verification.confidence import check_min_confidence
+
+FLAT = (Geometry.PLANAR, Geometry.ROTATION, Geometry.IDENTICAL)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CascadeRule:
-    """The least confidence, in [0, 1], of an estimate on standard matches that is kept; SettingsError outside."""
+    """The least confidence c, in [0, 1], of an estimate on simple matches that is kept; SettingsError outside.
+
+    Where a homography relates the images, the estimate is kept if the confidence in F is at most 1 - c.
+    """
 
     min_confidence: float = 0.9
 
@@ -24,12 +30,28 @@ class CascadeRule:
         check_min_confidence(self.min_confidence)
 
     def keeps(self, estimate: FundamentalEstimate) -> bool:
-        """Return whether an estimate on standard matches is kept, so that nothing is preprocessed."""
-        return self.keeps_numbers(estimate.status, estimate.confidence)
+        """Return whether an estimate on simple matches is kept, so that nothing is preprocessed."""
+        return self.keeps_numbers(estimate.status, estimate.geometry, estimate.confidence)
 
-    def keeps_numbers(self, status: str, confidence: float) -> bool:
-        """Return the same from the status of an estimate and its confidence alone."""
-        return status == Status.OK and confidence >= self.min_confidence  # NaN is not
+    def keeps_numbers(self, status: str, geometry: str, confidence: float) -> bool:
+        """Return the same from status, geometry and confidence of an estimate alone; NaN is not kept."""
+        if geometry in FLAT:
+            return confidence <= 1.0 - self.min_confidence
+        return status == Status.OK and confidence >= self.min_confidence
+
+    def choose(self, first: FundamentalEstimate, second: FundamentalEstimate) -> FundamentalEstimate:
+        """Return what a cascade answers whose estimates on simple and on ranked matches are these."""
+        back = says_more((first.status, first.geometry), (second.status, second.geometry))
+        return first if back or self.keeps(first) else second
+
+
+def says_more(first: tuple[str, str], second: tuple[str, str]) -> bool:
+    """Return whether a cascade that went on falls back on its first estimate, by status and geometry of both.
+
+    An F to rely on says more than a homography, and that more than nothing.
+    """
+    one, two = (2 if status == Status.OK else int(geometry in FLAT) for status, geometry in (first, second))
+    return one > two
 
 
 def load_cascade_rule(path: Path | None = None) -> CascadeRule:

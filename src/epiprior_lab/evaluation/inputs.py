@@ -35,11 +35,11 @@ from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.features.detection import DetectedPair, detect_images, detect_pair
 from epiprior_lab.pairsets import DatasetError, Pair
 
-WITHOUT = ("standard", "generalized")  # what an estimator gets without the preprocessing step
 BASELINES = ("standard", "snn", "generalized", "paper-standard")
 PRESETS = ("paper", "fast", "default", "thorough")
 INPUTS = BASELINES + PRESETS
-PREPROCESSED = "default"  # what a cascade falls back on
+FIRST = "snn"  # what a cascade tries first,
+PREPROCESSED = "default"  # and what it goes on to
 
 _MAKERS: Mapping[str, Callable[..., MatchSet]] = {
     "standard": standard_matches,

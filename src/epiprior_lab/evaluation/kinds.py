@@ -16,9 +16,10 @@ import numpy as np
 from epiprior.estimators.run import estimate_from_matches
 from epiprior.features.images import read_image
 from epiprior.types import FundamentalEstimate, Geometry, Status
+from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.evaluation.inputs import PairMatches, match_detected
-from epiprior_lab.evaluation.records import KindRecord
+from epiprior_lab.evaluation.inputs import FIRST, PREPROCESSED, PairMatches, match_detected
+from epiprior_lab.evaluation.records import CASCADE, KindRecord
 from epiprior_lab.evaluation.runs import HandOvers, each_run, error_px
 from epiprior_lab.evaluation.truth import TruthSettings, pair_truth
 from epiprior_lab.features.detection import detect_images
@@ -125,12 +126,24 @@ def case_runs(
 
 
 def case_records(
-    *, case: KindCase, group: str, inputs: Mapping[str, Sequence[str]], hand_overs: HandOvers, truth: TruthSettings
+    *,
+    case: KindCase,
+    group: str,
+    inputs: Mapping[str, Sequence[str]],
+    hand_overs: HandOvers,
+    truth: TruthSettings,
+    rule: CascadeRule,
+    cascaded: Sequence[str],
 ) -> list[KindRecord]:
-    """Return one record per estimator and input of a case, and one of COLMAP's own verification of matches."""
+    """Return one record per estimator and input of a case, and one of COLMAP's own verification of matches.
+
+    The estimators `cascaded` also have one of the cascade by the `rule`.
+    """
     known = None if case.pair is None else pair_truth(case.pair, truth)
     matches, runs = case_runs(estimate_from_matches, case, inputs, hand_overs)
-    found = [*runs, *((COLMAP, "snn", one) for one in _colmap(matches))]
+    by = {(estimator, name): one for estimator, name, one in runs}
+    found = [*runs, *((e, CASCADE, rule.choose(by[e, FIRST], by[e, PREPROCESSED])) for e in cascaded)]
+    found += [(COLMAP, "snn", one) for one in _colmap(matches, case.seed)]
     # Errors are meant at working size; control points are given pixels.
     unit = max(matches.pixel_factors)
     about = {"group": group, "pair_id": case.name, "scene": case.block, "kind": case.kind}
@@ -150,7 +163,7 @@ def case_records(
     ]
 
 
-def _colmap(matches: PairMatches) -> Iterator[FundamentalEstimate]:
+def _colmap(matches: PairMatches, seed: int) -> Iterator[FundamentalEstimate]:
     """Yield what COLMAP's verification says of mutual nearest neighbours; support counts only where it gives an F."""
     import pycolmap
 
@@ -163,7 +176,10 @@ def _colmap(matches: PairMatches) -> Iterator[FundamentalEstimate]:
         size = (round(width), round(height))
         cameras.append(pycolmap.Camera.create(0, pycolmap.CameraModelId.SIMPLE_RADIAL, 1.2 * max(size), *size))
     rows = np.column_stack([np.arange(len(given))] * 2).astype(np.uint32)
-    answer = pycolmap.estimate_two_view_geometry(cameras[0], given.x1 + 0.5, cameras[1], given.x2 + 0.5, rows)
+    options = pycolmap.TwoViewGeometryOptions()
+    options.ransac.random_seed = seed % 2**31
+    first, second = given.x1 + 0.5, given.x2 + 0.5
+    answer = pycolmap.estimate_two_view_geometry(cameras[0], first, cameras[1], second, rows, options)
     kinds = pycolmap.TwoViewGeometryConfiguration
     general = answer.config in (kinds.CALIBRATED, kinds.UNCALIBRATED)
     flat = answer.config in (kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC)

@@ -66,6 +66,12 @@ def make_protocol(params: Params) -> Protocol:
     )
 
 
+def as_shipped(protocol: Protocol, name: str) -> tuple[str, ...]:
+    """Return the estimators that get an input handed over as the library hands it over."""
+    chosen = load_hand_overs(MODELS / "hand_over.json")
+    return tuple(e for e, how in protocol.hand_overs.items() if name in how and how[name] == chosen[e][_chosen(name)])
+
+
 def _chosen(name: str) -> str:
     """Return the input whose hand-over an input gets: a preset that uses another's model uses its hand-over too."""
     return find_preset(name).model if name in PRESETS else name

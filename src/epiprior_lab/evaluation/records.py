@@ -14,7 +14,7 @@ from epiprior_lab.measures import log_ranks
 RANKS = tuple(sorted({*(int(rank) for rank in log_ranks(10_000, per_decade=10)), 10, 100, 500}))
 RANKINGS = ("lowe", "blogs", "2keypoint", "sfm", "final")  # of ranked inputs; others have `final` alone
 DIFFICULTIES = ("easy", "medium", "hard")
-CASCADE = "cascade"  # in the column `input` of timings
+CASCADE = "cascade"  # in the column `input` of timings and of pairs of kinds
 
 
 class TableError(EpipriorError):
@@ -81,7 +81,7 @@ class RunRecord(Record):
 class KindRecord(Record):
     """One estimator on one input of a pair of a `kind` (`epiprior_lab.evaluation.kinds`); fields as in `RunRecord`.
 
-    `error_px`, at working size, is NaN but for true pairs with an F.
+    `input` may also be `CASCADE`. `error_px`, at working size, is NaN but for true pairs with an F.
     """
 
     kind: str
@@ -129,7 +129,7 @@ class CalibrationRecord(Record):
 class TimingRecord(Record):
     """Wall time of one run from image files to F.
 
-    `input` is as in `RunRecord`, or `CASCADE`: without preprocessing first, and with it where that is turned down.
+    `input` is as in `RunRecord`, or `CASCADE`: simple matches first, and ranked ones where these do not convince.
     Seconds are those of both images' features, from features to (ranked) matches, from matches to F, and of all.
     `preprocessed` is whether matches were ranked; for the cascade, whether it came to that.
     """

@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from epiprior.features.images import load_photograph
-from epiprior.types import FundamentalEstimate, Status
+from epiprior.types import FundamentalEstimate
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.evaluation import inputs
 from epiprior_lab.evaluation.learned import SCRIPT, time_learned
-from epiprior_lab.evaluation.protocol import Protocol
+from epiprior_lab.evaluation.protocol import Protocol, as_shipped
 from epiprior_lab.evaluation.records import CASCADE, TimingRecord
 from epiprior_lab.evaluation.runs import error_px, estimates
 from epiprior_lab.evaluation.truth import pair_truth
@@ -45,9 +45,10 @@ def time_pair(
         for record, estimate in _time_estimators(pair, protocol, matches, group=group, seeds=seeds, before=before):
             found[record.estimator, record.seed, name] = record, estimate
     records = [record for record, _ in found.values()]
+    shipped = as_shipped(protocol, inputs.FIRST)
     for (estimator, seed, name), first in found.items():
         second = found.get((estimator, seed, inputs.PREPROCESSED))
-        if name in inputs.WITHOUT and second is not None:
+        if name == inputs.FIRST and estimator in shipped and second is not None:
             records.append(_cascade(first, second, rule))
     return records
 
@@ -113,10 +114,8 @@ def _cascade(
     (before, estimate), (after, again) = first, second
     if rule.keeps(estimate):
         return replace(before, input=CASCADE)
-    parts = ("seconds_features", "seconds_matching", "seconds_estimator")
+    parts = ("seconds_matching", "seconds_estimator")
     seconds = {name: getattr(before, name) + getattr(after, name) for name in parts}
-    if before.input == "standard":
-        seconds["seconds_features"] = before.seconds_features
-    back = estimate.status is Status.OK and again.status is not Status.OK
-    error_px = (before if back else after).error_px
+    seconds["seconds_features"] = before.seconds_features
+    error_px = (before if rule.choose(estimate, again) is estimate else after).error_px
     return replace(after, input=CASCADE, **seconds, seconds_total=sum(seconds.values()), error_px=error_px)

@@ -22,11 +22,13 @@ _LOOKS: Mapping[str, Look] = {
 }
 
 
-def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[float]) -> pd.DataFrame:
-    """Return what the cascade does with each estimator; nothing is run again.
+def cascade_table(
+    results: Results, rule: CascadeRule, estimators: Sequence[str], thresholds_px: Sequence[float]
+) -> pd.DataFrame:
+    """Return what the cascade does with each of the estimators; nothing is run again.
 
     One row per main group, estimator and threshold: ``pairs``; ``preprocessed``, the share of runs that were; and in
-    pairs, mean over seeds: successes ``without``, ``always`` and ``cascade``; ``lost`` and ``won``, the successes that
+    pairs, mean over seeds: successes ``first``, ``always`` and ``cascade``; ``lost`` and ``won``, the successes that
     only always preprocessing has, and only the cascade; ``change``, cascade - always, with its 95 % interval.
     """
     runs = cascade_rule.paired_runs(results.tables.runs)
@@ -34,12 +36,12 @@ def cascade_table(results: Results, rule: CascadeRule, thresholds_px: Sequence[f
     keys = ["group", "pair_id"]
     index = pd.MultiIndex.from_frame(results.tables.pairs[keys])
     rows = []
-    for estimator in order_of(runs["estimator"]):
+    for estimator in (name for name in order_of(runs["estimator"]) if name in estimators):
         own = (runs["estimator"] == estimator).to_numpy()
         part, kept_part = runs[own].reset_index(drop=True), kept[own]
         errors = {
-            "without": part["without_px"],
-            "always": part["with_px"],
+            "first": part["error_px"],
+            "always": part["with_error_px"],
             "cascade": cascade_rule.cascade_errors(part, kept_part),
         }
         for threshold in thresholds_px:
@@ -63,8 +65,8 @@ def rule_in_words(rule: CascadeRule) -> str:
     if rule == NEVER:
         return "No rule kept to what is tolerated: every pair is preprocessed."
     return (
-        f"Its answer is kept if its status is `ok` and its confidence at least {rule.min_confidence:g}; otherwise "
-        "the pair is preprocessed."
+        f"Its answer is kept if its confidence is at least {rule.min_confidence:g}, or if a homography relates the "
+        f"images and its confidence is at most {1 - rule.min_confidence:g}; otherwise the pair is preprocessed."
     )
 
 

@@ -13,7 +13,9 @@ import pandas as pd
 from sklearn.metrics import roc_auc_score, roc_curve
 
 from epiprior.types import Geometry, Status
+from epiprior.verification.cascade import FLAT as FLAT_GEOMETRIES
 from epiprior_lab.evaluation.kinds import COLMAP, TRUE
+from epiprior_lab.evaluation.records import CASCADE
 from epiprior_lab.measures import calibration_bins
 from epiprior_lab.report.page import Table
 from epiprior_lab.report.style import MUTED, axis_legend, styled
@@ -28,7 +30,6 @@ SCORES: Mapping[str, Look] = {
     "inlier_share": Look("share of inliers", "#8b919b", ":"),
     COLMAP: Look("COLMAP's verification", "#009e73", "-."),
 }
-_HOMOGRAPHIES = [str(kind) for kind in (Geometry.PLANAR, Geometry.ROTATION, Geometry.IDENTICAL)]
 
 
 def labelled(kinds: pd.DataFrame, success_px: float) -> pd.DataFrame:
@@ -40,15 +41,15 @@ def labelled(kinds: pd.DataFrame, success_px: float) -> pd.DataFrame:
         confidence=kinds["confidence"].fillna(0.0),
         inliers=kinds["support"].astype(float),
         inlier_share=kinds["support"] / kinds["matches"].clip(lower=1),
-        told=kinds["geometry"].isin(_HOMOGRAPHIES),
+        told=kinds["geometry"].isin(FLAT_GEOMETRIES),
     )
 
 
 def _groups(table: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Yield estimator, input and rows: of each, and of all estimators but COLMAP's verification."""
+    """Yield estimator, input and rows: of each, and of all but the cascade and COLMAP's verification."""
     for (estimator, name), part in table.groupby(["estimator", "input"], sort=False):
         yield str(estimator), str(name), part
-    yield ALL, ALL, table[table["estimator"] != COLMAP]
+    yield ALL, ALL, table[(table["estimator"] != COLMAP) & (table["input"] != CASCADE)]
 
 
 def kind_table(kinds: pd.DataFrame, success_px: float) -> pd.DataFrame:
@@ -99,7 +100,7 @@ def confidence_table(kinds: pd.DataFrame, success_px: float) -> pd.DataFrame:
 
 def confidence_figure(kinds: pd.DataFrame, success_px: float, path: Path) -> None:
     """Draw the ROC of every score, the reliability of the confidence, and wrong F over answered pairs."""
-    table = labelled(kinds, success_px)
+    table = labelled(kinds[kinds["input"] != CASCADE], success_px)
     table = table[table["kind"].isin((RIGHT, WRONG, STRANGERS))]
     with styled(path, 1, 3, (12.0, 4.0)) as (figure, ((roc, reliability, risk),)):
         for score, look in SCORES.items():

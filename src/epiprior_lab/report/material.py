@@ -26,12 +26,14 @@ Maker = Callable[["Material"], Iterator[Block | tuple[()]]]
 class Extras:
     """What a report shows beside the results; each may be left out.
 
-    `known_sets` are listed even where they are not present. `classifiers` are from `read_classifiers`, `hand_over` is
-    the search on validation scenes, `kinds` are the records of pairs of other kinds. `pictures`, by the names of the
-    prose, and those of the `cases` are in the report's folder already; `gallery` is that of the cases on photographs.
+    `cascaded` are the estimators that the rule of the cascade is shown for. `known_sets` are listed even where they are
+    not present. `classifiers` are from `read_classifiers`, `hand_over` is the search on validation scenes, `kinds` are
+    the records of pairs of other kinds. `pictures`, by the names of the prose, and those of the `cases` are in the
+    report's folder already; `gallery` is that of the cases on photographs.
     """
 
     rule: CascadeRule | None = None
+    cascaded: Sequence[str] = ()
     bounds: Sequence[Bound] = ()
     known_sets: Sequence[KnownSet] = ()
     classifiers: pd.DataFrame | None = None
@@ -95,9 +97,8 @@ def summary_table(
         best = str(of_input["estimator"].iloc[0])
         own = table[(table["input"] == name) & (table["estimator"] == best)].set_index(["group", "threshold_px"])
         count = number((features or {}).get(OURS if name == CASCADE else name, np.nan), 0)
-        title = "cascade of X_L and ours" if name == CASCADE else input_title(name)
         taken = [number(seconds.get((name, best), np.nan), 1)] if seconds else []
-        who.append([title, best, *([count] if features else []), *taken])
+        who.append([input_title(name), best, *([count] if features else []), *taken])
         values.append([100 * own["successes"][g, t] / sizes[g] for t in px for g in groups])
     texts = zip(*(text.best_bold(column) for column in zip(*values, strict=True)), strict=True)
     head = ["matches", "estimator", *(["features"] if features else []), *(["seconds"] if seconds else [])]

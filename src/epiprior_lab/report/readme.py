@@ -39,9 +39,9 @@ def render_readme(text: str, root: Path) -> str:
     px = (report.success_px, report.strict_px)
     features = features_by_input(read_table(root / TABLES / "rankings.csv", "group"))
     timed = read_table(root / TIMES, "input estimator seconds_total")
-    medians = timed.groupby(["input", "estimator"], as_index=False)["seconds_total"].median()
-    timed_keys = zip(medians["input"], medians["estimator"], strict=True)
-    seconds = dict(zip(timed_keys, medians["seconds_total"], strict=True))
+    means = timed.groupby(["input", "estimator"], as_index=False)["seconds_total"].mean()
+    timed_keys = zip(means["input"], means["estimator"], strict=True)
+    seconds = dict(zip(timed_keys, means["seconds_total"], strict=True))
     small = summary_table(successes, cascade, (ALL, *report.hard_groups), px, features, seconds)
     text = _filled(text, "results", small)
     if not (root / BAG_TABLES).is_dir():

@@ -60,7 +60,7 @@ def make_tables(results: Results, params: ReportParams, extras: Extras) -> _Tabl
         "pairs": tables.pair_table(results),
     }
     if extras.rule is not None and OURS in results.inputs_of_all:
-        made["cascade"] = cascade_table(results, extras.rule, thresholds)
+        made["cascade"] = cascade_table(results, extras.rule, extras.cascaded, thresholds)
     if extras.classifiers is not None:
         made["classifiers"] = tables.classifier_table(extras.classifiers)
     if extras.hand_over is not None:

@@ -228,13 +228,13 @@ def cascade(m: Material) -> Iterator[Block]:
     rule = "" if m.extras.rule is None else rule_in_words(m.extras.rule)
     yield say(CASCADE, rule=rule, success_px=success_px, losses="; ".join(losses))
     rows: list[list[str]] = []
-    counts = ("without", "always", "cascade", "lost", "won")
+    counts = ("first", "always", "cascade", "lost", "won")
     for group, part in m.groups_of(CASCADE):
         rows.append([group_title(group, int(part["pairs"].iloc[0]))])
         for row in part[part["threshold_px"] == success_px].to_dict("records"):
             cells = [*(number(row[name], 1) for name in counts), interval(row, "change", signed)]
             rows.append([row["estimator"], *cells, share(row["preprocessed"])])
-    yield Table(head=("estimator", *counts, "cascade over always", "runs preprocessed"), rows=rows)
+    yield Table(head=("estimator", "snn", *counts[1:], "cascade over always", "runs preprocessed"), rows=rows)
     yield m.picture(CASCADE)
 
 

@@ -42,6 +42,7 @@ INPUTS: Mapping[str, Look] = {
     "xfeat": Look("XFeat + LighterGlue", "#7d4fb2", (0, (1, 2)), "p"),
     "paper": Look("ours, as printed", "#e69f00", "-.", "^"),
     "fast": Look("ours, fast", "#b35806", (0, (3, 1)), "d"),
+    "cascade": Look("cascade of snn and ours", "#117733", (0, (5, 2)), "h"),
     "default": Look("ours", "#d55e00", "-", "o"),
 }
 RANKINGS: Mapping[str, Look] = {

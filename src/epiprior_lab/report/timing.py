@@ -8,11 +8,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.evaluation.records import CASCADE
 from epiprior_lab.evaluation.statistics import contribution
 from epiprior_lab.params import ReportParams
 from epiprior_lab.report import figures
 from epiprior_lab.report.bounds import Bound, bound_rows, judge
+from epiprior_lab.report.cascade import cascade_table
 from epiprior_lab.report.page import Page, Section, Table, picture
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.style import label_grid, legend, looks_of, styled
@@ -68,28 +70,34 @@ def overhead_table(timings: pd.DataFrame, results: Results, threshold_px: float)
 
 
 def decision_table(
-    timings: pd.DataFrame, results: Results, thresholds_px: Sequence[float], *, usual: str
+    timings: pd.DataFrame, results: Results, thresholds_px: Sequence[float], cascade: pd.DataFrame, *, usual: str
 ) -> pd.DataFrame:
     """Return successes and seconds of every timed input, with the estimator that serves it best, and with the `usual`.
 
+    `cascade` is a `cascade_table`; it is an input as well.
+
     Columns: ``input, choice`` (`BEST`: the most successes on these pairs below the first threshold, in hindsight; or
     `USUAL`, where the input has another), ``estimator, pairs, successes_<threshold>`` over the hard pairs, or all where
-    none is hard; and medians over the timed pairs: ``seconds_pair``, from both files to F, and ``seconds_shared``, what
+    none is hard; and means over the timed pairs: ``seconds_pair``, from both files to F, and ``seconds_shared``, what
     a pair costs once the features of its images are there.
     """
     hard = results.hard_pairs
-    member = hard if hard.any() else results.masks[results.main[-1]]
+    member, groups = (hard, results.hard) if hard.any() else (results.masks[results.main[-1]], results.main[-1:])
+    of_cascade = cascade[cascade["group"].isin(groups)].groupby(["estimator", "threshold_px"])[CASCADE].sum()
     timed = timings.assign(seconds_shared=timings["seconds_matching"] + timings["seconds_estimator"])
-    medians = timed.groupby(["input", "estimator"])[["seconds_total", "seconds_shared"]].median().to_dict("index")
+    means = timed.groupby(["input", "estimator"])[["seconds_total", "seconds_shared"]].mean().to_dict("index")
     rows = []
-    for name in (name for name in results.inputs_of_all if name in set(timings["input"])):
-        known = [e for e in results.estimators if name in results.inputs(e) and (name, e) in medians]
-        counts = {e: [float(results.errors.of(e, name, px)[member].sum()) for px in thresholds_px] for e in known}
+    for name in (name for name in (*results.inputs_of_all, CASCADE) if name in set(timings["input"])):
+        known = [e for e in results.estimators if (name, e) in means]
+        if name == CASCADE:
+            counts = {e: [float(of_cascade[e, px]) for px in thresholds_px] for e in known}
+        else:
+            counts = {e: [float(results.errors.of(e, name, px)[member].sum()) for px in thresholds_px] for e in known}
         best = max(known, key=lambda estimator: counts[estimator])
         for choice, estimator in ((BEST, best), *([(USUAL, usual)] if usual in known and usual != best else [])):
             row: dict[str, Any] = {"input": name, "choice": choice, "estimator": estimator, "pairs": int(member.sum())}
             row |= {f"successes_{px:g}": n for px, n in zip(thresholds_px, counts[estimator], strict=True)}
-            found = medians[name, estimator]
+            found = means[name, estimator]
             rows.append(row | {"seconds_pair": found["seconds_total"], "seconds_shared": found["seconds_shared"]})
     return pd.DataFrame(rows)
 
@@ -119,14 +127,23 @@ def decision_figure(table: pd.DataFrame, path: Path) -> None:
 
 
 def write_timings(
-    timings: pd.DataFrame, results: Results, out: Path, params: ReportParams, bounds: list[Bound]
+    timings: pd.DataFrame,
+    results: Results,
+    out: Path,
+    params: ReportParams,
+    bounds: list[Bound],
+    cascaded: tuple[CascadeRule, Sequence[str]],
 ) -> None:
-    """Write tables, figures and a page of the times of an evaluation: ``times.md`` and what it shows."""
+    """Write tables, figures and a page of the times of an evaluation: ``times.md`` and what it shows.
+
+    `cascaded` is the rule of the cascade, and the estimators that it was timed for.
+    """
     threshold_px = params.success_px
     overhead, seconds = overhead_table(timings, results, threshold_px), seconds_table(timings, threshold_px)
     judged = judge(bounds, {"overhead": overhead})
     thresholds = tuple(dict.fromkeys((params.success_px, params.strict_px)))
-    decision = decision_table(timings, results, thresholds, usual=params.champion)
+    cascade = cascade_table(results, *cascaded, thresholds)
+    decision = decision_table(timings, results, thresholds, cascade, usual=params.champion)
     decision_figure(decision, out / "decision.png")
     tables = {"overhead": overhead, "estimators": seconds, "decision": decision, "bounds": judged}
     for name, table in tables.items():

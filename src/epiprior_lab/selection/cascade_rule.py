@@ -1,6 +1,6 @@
-"""When an estimate without preprocessing is good enough, learnt on validation scenes: one rule for all estimators.
+"""When an estimate on simple matches is good enough, learnt on validation scenes: one rule for all estimators.
 
-Every run of the evaluation exists without and with the preprocessing step, for the same pair and seed. A cascade
+Every run of the evaluation exists on simple matches and on ranked ones, for the same pair and seed. A cascade
 takes one or the other, so each rule's outcome follows from these runs; nothing is run again. The runs of all estimators
 together choose one rule, since validation scenes are few, and rarely are all estimators wrong on one at once.
 """
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from epiprior.types import BoolArray, FloatArray, Status
-from epiprior.verification.cascade import CascadeRule
-from epiprior_lab.evaluation.inputs import PREPROCESSED, WITHOUT
+from epiprior.types import BoolArray, FloatArray
+from epiprior.verification.cascade import CascadeRule, says_more
+from epiprior_lab.evaluation.inputs import FIRST, PREPROCESSED
 from epiprior_lab.params import CascadeParams
 
 ALL = "all"
@@ -21,22 +21,22 @@ NEVER = CascadeRule(min_confidence=1.0)  # where no other rule keeps within the 
 
 
 def paired_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return runs without preprocessing beside the same runs with it; other inputs are left out.
+    """Return runs on simple matches beside the same runs on ranked ones; other inputs are left out.
 
-    One row per group, pair, estimator and seed: ``status`` and ``confidence`` without preprocessing, ``with_status``
-    with it, and the errors ``without_px``, ``with_px``, infinite without F, whatever the status.
+    One row per group, pair, estimator and seed: ``status, geometry, confidence, error_px`` of the first, the same as
+    ``with_...`` of the second; the errors are infinite without F, whatever the status.
     """
     keys = ["group", "pair_id", "scene", "estimator", "seed"]
-    table = runs.assign(error_px=runs["error_px"].fillna(np.inf))
-    without = table[table["input"].isin(WITHOUT)].rename(columns={"error_px": "without_px"})
-    with_step = table[table["input"] == PREPROCESSED].rename(columns={"error_px": "with_px", "status": "with_status"})
-    left = without[[*keys, "status", "confidence", "without_px"]]
-    return left.merge(with_step[[*keys, "with_status", "with_px"]], on=keys, how="inner", validate="one_to_one")
+    said = ["status", "geometry", "confidence", "error_px"]
+    table = runs.assign(error_px=runs["error_px"].fillna(np.inf))[[*keys, "input", *said]]
+    first, second = (table[table["input"] == name].drop(columns="input") for name in (FIRST, PREPROCESSED))
+    second = second.rename(columns={name: f"with_{name}" for name in said})
+    return first.merge(second, on=keys, how="inner", validate="one_to_one")
 
 
 def kept_runs(runs: pd.DataFrame, rules: Sequence[CascadeRule]) -> BoolArray:
     """Return which runs each rule keeps without preprocessing, shape (len(rules), len(runs))."""
-    numbers = list(zip(runs["status"], runs["confidence"], strict=True))
+    numbers = list(zip(runs["status"], runs["geometry"], runs["confidence"], strict=True))
     kept = [[rule.keeps_numbers(*run) for run in numbers] for rule in rules]
     return np.array(kept, dtype=np.bool_).reshape(len(rules), len(runs))
 
@@ -44,17 +44,17 @@ def kept_runs(runs: pd.DataFrame, rules: Sequence[CascadeRule]) -> BoolArray:
 def cascade_errors(runs: pd.DataFrame, kept: BoolArray) -> FloatArray:
     """Return the errors of a cascade that keeps some of the runs, pixels, shape (N,).
 
-    As in the library, the cascade falls back on its first estimate where that alone has the status ``ok``.
+    As in the library, the cascade falls back on its first estimate where that says more.
     """
-    without, with_step = runs["without_px"].to_numpy(np.float64), runs["with_px"].to_numpy(np.float64)
-    back = (runs["status"] == Status.OK) & (runs["with_status"] != Status.OK)
-    return np.where(kept | back.to_numpy(np.bool_), without, with_step)
+    firsts, seconds = (zip(runs[f"{w}status"], runs[f"{w}geometry"], strict=True) for w in ("", "with_"))
+    back = [says_more(first, second) for first, second in zip(firsts, seconds, strict=True)]
+    return np.where(kept | np.array(back, np.bool_), runs["error_px"], runs["with_error_px"])
 
 
 def lost_runs(runs: pd.DataFrame, kept: BoolArray, threshold_px: float) -> BoolArray:
     """Return the runs that would have succeeded, had they been preprocessed; shape of `kept`, (..., N)."""
-    without, with_step = runs["without_px"].to_numpy(np.float64), runs["with_px"].to_numpy(np.float64)
-    return np.asarray(kept & (with_step < threshold_px) & ~(without < threshold_px))
+    first, second = runs["error_px"].to_numpy(np.float64), runs["with_error_px"].to_numpy(np.float64)
+    return np.asarray(kept & (second < threshold_px) & ~(first < threshold_px))
 
 
 def candidate_rules(params: CascadeParams) -> list[CascadeRule]:

@@ -1,4 +1,4 @@
-"""Stage `cascade`: when an estimate without preprocessing is kept, chosen on validation scenes, tried on test pairs."""
+"""Stage `cascade`: when an estimate on simple matches is kept, chosen on validation scenes, tried on test pairs."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from epiprior.verification.cascade import save_cascade_rule
 from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.evaluate import run_pairs
-from epiprior_lab.evaluation.inputs import PREPROCESSED, WITHOUT, model_files, store_matches
+from epiprior_lab.evaluation.inputs import FIRST, PREPROCESSED, model_files, store_matches
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, rendered_pairs
 from epiprior_lab.evaluation.records import RunRecord, Tables, to_frame
 from epiprior_lab.params import load_study
@@ -21,7 +21,7 @@ def main() -> None:
     """Write ``models/cascade.json`` and ``reports/cascade.{md,png}``."""
     params = load_study()
     protocol, workers = make_protocol(params), default_workers()
-    compared = {e: [n for n in names if n in (*WITHOUT, PREPROCESSED)] for e, names in protocol.inputs.items()}
+    compared = {e: [n for n in names if n in (FIRST, PREPROCESSED)] for e, names in protocol.inputs.items()}
     asked, files = protocol.all_inputs, model_files(MODELS, protocol.all_inputs)
     own, at = replace(protocol, inputs=compared, seeds=params.cascade.seeds), STORE / "matches"
     records = []

@@ -5,7 +5,8 @@ from typing import Any
 
 from epiprior.verification.cascade import load_cascade_rule
 from epiprior_lab.compute.tasks import single_threaded
-from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
+from epiprior_lab.evaluation.inputs import FIRST
+from epiprior_lab.evaluation.protocol import MODELS, as_shipped, make_protocol, pairs_of
 from epiprior_lab.evaluation.records import KindRecord, Tables, read_frame
 from epiprior_lab.pairsets import known_sets
 from epiprior_lab.params import STUDY, Params, StudyParams, load_params, read_arguments
@@ -36,6 +37,7 @@ def study_extras(params: StudyParams, results: Results, out: Path) -> Extras:
     pictures = {"contact_sheet": sheet, "example": example_picture(example, figures / "example.jpg")}
     return Extras(
         rule=load_cascade_rule(MODELS / "cascade.json"),
+        cascaded=as_shipped(make_protocol(params), FIRST),
         bounds=load_bounds(BOUNDS, "study"),
         classifiers=read_classifiers(Path("data/training"), params.features.presets),
         kinds=read_frame(KindRecord, Path("data/kinds/kinds.csv")),
@@ -56,6 +58,7 @@ def photograph_extras(params: Params, results: Results, out: Path) -> Extras:
         draw_cases(cases, pairs, make_protocol(params), photographs=GALLERY, frames=out / "gallery")
     return Extras(
         rule=load_cascade_rule(MODELS / "cascade.json"),
+        cascaded=as_shipped(make_protocol(params), FIRST),
         bounds=load_bounds(BOUNDS, "photographs"),
         known_sets=known_sets(),
         kinds=read_frame(KindRecord, Path("data/real-kinds/kinds.csv")),

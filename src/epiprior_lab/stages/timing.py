@@ -7,9 +7,10 @@ from rich.console import Console
 from rich.progress import track
 
 from epiprior.verification.cascade import load_cascade_rule
+from epiprior_lab.evaluation.inputs import FIRST
 from epiprior_lab.evaluation.learned import LEARNED
 from epiprior_lab.evaluation.peers import interpreter
-from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
+from epiprior_lab.evaluation.protocol import MODELS, as_shipped, make_protocol, pairs_of
 from epiprior_lab.evaluation.records import Tables, TimingRecord, to_frame, write_frame
 from epiprior_lab.evaluation.timing import spread_pairs, time_learned_pairs, time_pair
 from epiprior_lab.params import STUDY, StudyParams, load_params, read_arguments
@@ -38,7 +39,8 @@ def main() -> None:
     evaluated = Tables.read([Path(own.out) / group for group in own.groups])
     results = read_results(evaluated, params.report, apart=own.apart or ())
     bounds = load_bounds(BOUNDS, "study" if isinstance(params, StudyParams) else "photographs")
-    write_timings(timings, results, arguments.out, params.report, bounds)
+    cascaded = rule, as_shipped(protocol, FIRST)
+    write_timings(timings, results, arguments.out, params.report, bounds, cascaded)
 
 
 if __name__ == "__main__":

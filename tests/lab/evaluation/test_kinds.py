@@ -1,11 +1,13 @@
 """Pairs of every kind: planned without doubles, made alike every time, estimated with what is known of them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from epiprior.estimators.handover import HandOver
+from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.evaluation.kinds import COLMAP, KindCase, case_records, places_of, plan_cases
 from epiprior_lab.evaluation.truth import TruthSettings
 from epiprior_lab.scenes.kinds import KINDS, make_views
@@ -54,11 +56,15 @@ def test_views_are_made_of_what_the_kind_says(kind):
 
 @pytest.mark.filterwarnings("ignore:create.. is deprecated:DeprecationWarning")  # of pycolmap 4.2
 def test_a_true_pair_has_an_error_and_no_other_kind(pairs, tiny_model):
-    how = {"inputs": {"magsac++": ("snn",)}, "hand_overs": {"magsac++": {"snn": HandOver()}}, "truth": TruthSettings()}
+    how = {"inputs": {"magsac++": ("snn", "default")}, "truth": TruthSettings(), "rule": CascadeRule()}
+    how |= {"hand_overs": {"magsac++": dict.fromkeys(("snn", "default"), HandOver())}, "cascaded": ["magsac++"]}
     true = KindCase(name="t", block="b", kind="pair", seed=0, pair=pairs[0])
     copy = KindCase(name="c", block="b", kind="copy", seed=0, images=(pairs[0].image1, pairs[0].image1))
-    found = [record for case in (true, copy) for record in case_records(case=case, group="g", **how)]
-    assert [(r.kind, r.estimator) for r in found] == [(k, e) for k in ("pair", "copy") for e in ("magsac++", COLMAP)]
-    assert found[0].error_px < 3
-    assert all(np.isnan(record.error_px) for record in found[2:])
-    assert (found[2].status, found[2].geometry) == ("degenerate", "identical")
+    found = {case.kind: case_records(case=case, group="g", **how) for case in (true, copy)}
+    rows = [("magsac++", "snn"), ("magsac++", "default"), ("magsac++", "cascade"), (COLMAP, "snn")]
+    assert all([(r.estimator, r.input) for r in records] == rows for records in found.values())
+    assert found["pair"][0].error_px < 3
+    assert replace(found["pair"][2], input="snn") == found["pair"][0]
+    assert all(np.isnan(record.error_px) for record in found["copy"])
+    assert (found["copy"][0].status, found["copy"][0].geometry) == ("degenerate", "identical")
+    assert case_records(case=true, group="g", **how)[-1] == found["pair"][-1]  # COLMAP's draws have a seed

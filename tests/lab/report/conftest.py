@@ -50,7 +50,8 @@ def study():
     results = read_results(study_tables(pairs=8), params)
     bounds = [bound for bound in load_bounds(ROOT / BOUNDS, "study") if bound.group in results.masks]
     bounds = [bound for bound in bounds if bound.estimator in ("usac", "epiprior", "every")]
-    extras = Extras(rule=RULE, bounds=bounds, classifiers=metrics(), hand_over=search())
+    cascaded = tuple(results.tables.runs["estimator"].unique())
+    extras = Extras(rule=RULE, cascaded=cascaded, bounds=bounds, classifiers=metrics(), hand_over=search())
     return SimpleNamespace(results=results, params=params, extras=extras)
 
 
@@ -63,7 +64,8 @@ def photographs(tmp_path_factory):
     results = read_results(photograph_tables(), params, apart=APART)
     cases = choose_cases(results, "usac", rescued=2, lost=1, success_px=10.0)
     bounds = load_bounds(ROOT / BOUNDS, "photographs")
-    extras = Extras(rule=RULE, bounds=bounds, known_sets=known_sets(), cases=cases, gallery=root / "gallery")
+    how = {"rule": RULE, "cascaded": ("usac", "epiprior"), "gallery": root / "gallery"}
+    extras = Extras(bounds=bounds, known_sets=known_sets(), cases=cases, **how)
     for folder, suffix in ((root / "out" / "gallery", "png"), (root / "gallery", "jpg")):
         folder.mkdir(parents=True)
         for case in cases:

@@ -40,6 +40,9 @@ def test_the_score_tells_right_from_wrong_and_kinds_are_counted_by_verdict_and_d
     table = kind_table(kinds, 10.0).set_index(["estimator", "kind"]).loc["usac"]
     assert table["accepted"].to_dict() == {"right": 1, "wrong": 0, "unrelated": 0, "plane": 0}
     assert table.loc["plane", ["told", "identical"]].tolist() == [1, 1]
+    both = pd.concat([kinds, kinds.assign(input="cascade", confidence=0.0)])
+    sums = kind_table(both, 10.0).groupby(["estimator", "input"])["estimates"].sum()
+    assert sums.to_dict() == {("usac", "snn"): 40, ("usac", "cascade"): 40, ("all", "all"): 40}  # nothing counts twice
     page = kind_rows(kind_table(kinds, 10.0))
     assert list(page.head) == ["estimator", "input", "right", "wrong", "unrelated", "plane"]
     assert page.rows[0][2] == "100 % / 0 % of 10"

@@ -41,7 +41,7 @@ def test_the_small_table_leads_every_group_and_estimator_has_its_rows_and_no_pho
     made, out = photograph_report
     text = (out / "performance.md").read_text()
     rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")][:8]
-    titles = ["X_L", "snn", "AdaLAM", "GMS", "ALIKED + LightGlue", "cascade of X_L and ours", "ours"]
+    titles = ["X_L", "snn", "AdaLAM", "GMS", "ALIKED + LightGlue", "cascade of snn and ours", "ours"]
     assert [row[0] for row in rows] == ["matches", *titles]
     assert [row[2] for row in rows] == ["features", *["1900"] * 4, "2048", "1900", "1900"]
     names = ("all pairs (12), 10 px", "hard pairs (6), 10 px", "all pairs (12), 3 px", "hard pairs (6), 3 px")

@@ -18,10 +18,12 @@ INF = float("inf")
 
 
 def runs_of(rows, estimator="usac"):
-    """Rows are (scene, confidence, error without, error with)."""
-    table = pd.DataFrame(rows, columns=["scene", "confidence", "without_px", "with_px"])
-    table["status"] = np.where(np.isinf(table["without_px"]), "no_model", "ok")
-    table["with_status"] = np.where(np.isinf(table["with_px"]), "no_model", "ok")
+    """Rows are (scene, confidence, error of the first input, error of the second)."""
+    table = pd.DataFrame(rows, columns=["scene", "confidence", "error_px", "with_error_px"])
+    for which in ("", "with_"):
+        nothing = np.isinf(table[f"{which}error_px"])
+        table[f"{which}status"] = np.where(nothing, "no_model", "ok")
+        table[f"{which}geometry"] = np.where(nothing, "none", "general")
     table["pair_id"] = [f"pair-{i}" for i in range(len(table))]
     return table.assign(estimator=estimator, group="open", seed=0)
 
@@ -34,13 +36,13 @@ def test_runs_are_paired_and_other_inputs_left_out():
     both = runs.set_index([*keys, "input"])
     for row in got.itertuples():
         key = (row.group, row.pair_id, row.estimator, row.seed)
-        baseline = "generalized" if row.estimator == "generalized-ransac" else "standard"
-        first, second = both.loc[(*key, baseline)], both.loc[(*key, "default")]
+        first, second = both.loc[(*key, "snn")], both.loc[(*key, "default")]
         assert (row.status, row.with_status) == (first["status"], second["status"])
-        assert row.without_px == (INF if np.isnan(first["error_px"]) else first["error_px"])  # whatever its status
-        assert row.with_px == (INF if np.isnan(second["error_px"]) else second["error_px"])
+        assert (row.geometry, row.with_geometry) == (first["geometry"], second["geometry"])
+        assert row.error_px == (INF if np.isnan(first["error_px"]) else first["error_px"])  # whatever its status
+        assert row.with_error_px == (INF if np.isnan(second["error_px"]) else second["error_px"])
     with pytest.raises(pd.errors.MergeError):
-        cascade_rule.paired_runs(pd.concat([runs, runs.iloc[:1]]))
+        cascade_rule.paired_runs(pd.concat([runs, runs[runs["input"] == "snn"].iloc[:1]]))
 
 
 def test_a_cascade_takes_one_or_the_other_and_falls_back():
@@ -53,9 +55,10 @@ def test_a_cascade_takes_one_or_the_other_and_falls_back():
     assert lost_runs(runs, kept, 10.0).tolist() == [[False, False, False, False, True], [False] * 5]
     assert lost_runs(runs, kept, 1.5)[0].tolist() == [False, False, False, False, True]
     runs = runs_of([("a", 0.6, 50.0, 2.0), ("b", 0.6, 50.0, 2.0)])  # the status decides, even where it is wrong
-    runs["with_status"] = "degenerate"
-    runs.loc[1, "status"] = "degenerate"
+    runs["with_status"], runs["with_geometry"] = "degenerate", "planar"
+    runs.loc[1, ["status", "geometry"]] = "degenerate", "planar"
     assert cascade_errors(runs, np.array([False, False])).tolist() == [50.0, 2.0]
+    assert kept_runs(runs.assign(confidence=0.05), [CascadeRule(min_confidence=0.9)]).tolist() == [[False, True]]
 
 
 def many_runs(n=60, seed=0):
@@ -72,7 +75,7 @@ def test_the_learnt_rule_tells_right_from_wrong_is_strict_and_the_trade_off_fall
     found = learn_rule(runs, PARAMS, **AT)
     outcome = found.outcomes.loc["usac"]
     assert found.rule == CascadeRule(min_confidence=0.5)  # 0.25 would keep as much
-    assert outcome["preprocessed"] == pytest.approx(1 - (runs["without_px"] < 10).mean())
+    assert outcome["preprocessed"] == pytest.approx(1 - (runs["error_px"] < 10).mean())
     assert (outcome["lost"], outcome["held_out_lost"]) == (0.0, 0.0)
     assert outcome["held_out_preprocessed"] == pytest.approx(outcome["preprocessed"], abs=0.1)
     assert [rule.min_confidence for rule in cascade_rule.candidate_rules(PARAMS)] == [1.0, 0.75, 0.5, 0.25, 0.0]
@@ -83,7 +86,7 @@ def test_the_learnt_rule_tells_right_from_wrong_is_strict_and_the_trade_off_fall
     assert (len(front), first["preprocessed"], first["lost"], last["preprocessed"]) == (5, 1.0, 0.0, 0.0)
     assert (np.diff(front["preprocessed"]) < 0).all()
     assert (np.diff(front["lost"]) >= 0).all()
-    assert last["lost"] == (runs["without_px"] > 10).mean()
+    assert last["lost"] == (runs["error_px"] > 10).mean()
 
 
 def test_each_tolerance_holds_at_its_own_threshold_and_wins_buy_nothing():
@@ -92,7 +95,7 @@ def test_each_tolerance_holds_at_its_own_threshold_and_wins_buy_nothing():
     loose = replace(PARAMS, strict_tolerance=0.03)
     assert learn_rule(runs, PARAMS, **AT).rule == NEVER
     assert learn_rule(runs, loose, **AT).outcomes.loc[ALL, "preprocessed"] == 0.0
-    wrong = runs.assign(without_px=runs["without_px"].replace(5.0, 50.0))
+    wrong = runs.assign(error_px=runs["error_px"].replace(5.0, 50.0))
     assert learn_rule(wrong, loose, **AT).rule == NEVER
     assert learn_rule(wrong, replace(loose, tolerance=0.03), **AT).rule != NEVER
     won = pd.concat([runs, runs_of([(f"w{i}", 0.9, 1.0, 50.0) for i in range(50)])], ignore_index=True)
