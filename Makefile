@@ -56,7 +56,7 @@ sfm: $(READY)  ## map bags of photographs by every method, after `make real`: ma
 peers: $(PEERS)  ## make the environment of the rankers and learned matchers against which photographs are measured (5.6 GB)
 
 test: $(READY)  ## run all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 test-lowest: $(LOWEST)  ## run the library's tests with the lowest versions that pyproject.toml allows
 	PATH="$(CURDIR)/$(VENV)/lowest/bin:$$PATH" NUMBA_CACHE_DIR="$(CURDIR)/$(VENV)/lowest/numba" \
