@@ -28,9 +28,6 @@ STAGES = [
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
-# --- the environment
-
-
 LOCKS = ("requirements.lock", "requirements-lowest.lock")
 
 

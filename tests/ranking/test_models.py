@@ -42,9 +42,6 @@ def edit(folder, **entries):
     path.write_text(json.dumps(manifest))
 
 
-# --- prediction
-
-
 def test_probabilities_are_calibrated_strictly_increasing(folder):
     X = rows(1000)
     logit = np.clip(X @ np.array([MATCH_WEIGHTS.get(name, 0.0) for name in DEFAULT.match_columns]) - 1.0, -16, 16)

@@ -54,9 +54,6 @@ def ranked(pairs, model):
     return rank_matches(pairs[0].image1, pairs[0].image2, settings=PRESETS["default"], model=model)
 
 
-# --- kernels and variants
-
-
 def test_two_oriented_matches_give_eight_points():
     rng = np.random.default_rng(2)
     x, s, a = rng.uniform(0, 500, (2, 5, 2)), rng.uniform(2, 8, (2, 5)), rng.uniform(0, 6, (2, 5))
