@@ -80,9 +80,6 @@ def test_rows_of_another_kind_are_refused(folder, bad, message):
         load_model(folder).match(bad)
 
 
-# --- finding
-
-
 def test_a_name_is_found_in_the_package_before_the_checkout(tmp_path, monkeypatch):
     package = tmp_path / "src" / "epiprior"
     package.mkdir(parents=True)

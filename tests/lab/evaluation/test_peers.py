@@ -57,7 +57,9 @@ if Path(request["pairs"][0][0]).name == "absent.png":
 def environment(tmp_path):
     """A folder that looks like an environment, with this interpreter."""
     (tmp_path / "peers" / "bin").mkdir(parents=True)
-    (tmp_path / "peers" / "bin" / "python").symlink_to(sys.executable)
+    python = tmp_path / "peers" / "bin" / "python"
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')  # a link would leave the packages behind
+    python.chmod(0o755)
     return tmp_path / "peers"
 
 
