@@ -70,7 +70,7 @@ def test_every_input_is_a_point(photographs, tmp_path):
     timed = ["standard", "generalized", "snn", "aliked", "default", "cascade"]
     assert table["input"].drop_duplicates().tolist() == timed
     usual = set(table.loc[table["choice"] == "usual", "input"])
-    assert usual <= {"standard", "snn", "default", "cascade"}  # others: best, or none
+    assert usual == {"standard", "snn", "default", "cascade"}  # others: best, or none
     row = table[(table["input"] == "cascade") & (table["choice"] == "best")].iloc[0]
     hard = cascade[(cascade["group"] == "hard") & (cascade["threshold_px"] == 10.0)].set_index("estimator")["cascade"]
     assert row["successes_10"] == hard.max() == hard[row["estimator"]]
