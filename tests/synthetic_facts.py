@@ -10,4 +10,4 @@ def facts_of(F: FloatArray, matches: MatchSet, others: tuple[FloatArray, ...] = 
     """Return the facts of an estimate at 1.5 px."""
     near = sampson_distance(F, matches.x1, matches.x2) < 1.5
     H = fit_homography(matches.x1[near], matches.x2[near], 4.0)
-    return describe_estimate(F, H, matches, matches, matches, 1.5, others=others)
+    return describe_estimate(F, H, matches, matches, matches, 1.5, others)

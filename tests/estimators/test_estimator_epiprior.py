@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from epiprior.estimators.evidence import spread_evidence
+from epiprior.estimators.evidence import SpreadEvidence
 from epiprior.estimators.proposals import models_of_plane, oriented_pairs, plane_and_parallax, progressive_rows
 from epiprior.geometry import Evidence, as_columns, normalise_fundamental, sampson_distance
 from epiprior.kernels.local_steps import climb, refine_models
@@ -56,11 +56,13 @@ def test_probability_weighs_a_crowd_speaks_once_and_clusters_and_implausible_cam
     m = replace(pair.matches, probability=np.full(50, 0.5))
     crowd = m.take(np.zeros(30, np.int64))
     crowd = replace(crowd, feature1=np.arange(30), feature2=np.arange(30))
-    assert spread_evidence(pair.F, crowd) == pytest.approx(spread_evidence(pair.F, m.take(slice(1))), rel=1e-4)
+    assert SpreadEvidence(crowd).score(pair.F) == pytest.approx(
+        SpreadEvidence(m.take(slice(1))).score(pair.F), rel=1e-4
+    )
     for sizes in (((1024, 768), (1024, 768)), ((1024, 768), (102400, 76800))):
-        wanted = camera_plausibility(pair.F[None], sizes)[0] * spread_evidence(pair.F, m)
-        assert spread_evidence(pair.F, replace(m, image_sizes=sizes)) == pytest.approx(wanted)
-    assert wanted < spread_evidence(pair.F, m)
+        wanted = camera_plausibility(pair.F[None], sizes)[0] * SpreadEvidence(m).score(pair.F)
+        assert SpreadEvidence(replace(m, image_sizes=sizes)).score(pair.F) == pytest.approx(wanted)
+    assert wanted < SpreadEvidence(m).score(pair.F)
     m = make_matches(np.zeros((4, 2)), np.zeros((4, 2)), distance_ratio=np.array([0.8, 0.8, 0.8, 1.0]))
     low, middle, high, cluster = match_weights(m, np.array([0.0, 0.5, 1.0, 0.5]))
     assert low == 0 < middle < high < np.inf

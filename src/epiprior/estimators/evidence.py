@@ -6,18 +6,33 @@ one small part of image 1 to one small part of image 2 count once, by the best o
 two photographs can have (`epiprior.verification.measures`), which does not depend on the matches at all.
 """
 
+from functools import cached_property
+
 from epiprior.geometry import SCORE_THRESHOLD_PX, Evidence
 from epiprior.types import FloatArray, MatchSet
-from epiprior.verification.measures import camera_plausibility, match_weights, prior_probability, spread_groups
+from epiprior.verification.measures import camera_plausibility, spread_groups, weighed_matches
 
 
-def spread_evidence(F: FloatArray, matches: MatchSet, threshold_px: float = SCORE_THRESHOLD_PX) -> float:
-    """Return the score of one F, >= 0: the matches, each part of the images once, times the plausibility of F.
+class SpreadEvidence:
+    """The evidence of matches, each part of the images once.
 
-    Many-to-many matches are made one-to-one: each feature speaks once, by its most probable match. A match at a Sampson
-    distance of `threshold_px` says nothing. The score may be compared between roll hypotheses of one pair.
+    Many-to-many matches are made one-to-one, `single`: each feature speaks once, by its most probable match; `weights`
+    are what these are worth (`match_weights`).
     """
-    single = matches.one_to_one()
-    weights = match_weights(single, prior_probability(single))
-    evidence = Evidence(single.x1, single.x2, weights, spread_groups(single.x1, single.x2))
-    return float(evidence.scores(F[None], threshold_px)[0] * camera_plausibility(F[None], single.image_sizes)[0])
+
+    def __init__(self, matches: MatchSet) -> None:
+        self.single, self.weights = weighed_matches(matches)
+
+    @cached_property
+    def _evidence(self) -> Evidence:
+        x1, x2 = self.single.x1, self.single.x2
+        return Evidence(x1, x2, self.weights, spread_groups(x1, x2))
+
+    def score(self, F: FloatArray, threshold_px: float = SCORE_THRESHOLD_PX) -> float:
+        """Return the score of one F, >= 0: what the matches say, times the plausibility of F.
+
+        A match at a Sampson distance of `threshold_px` says nothing. The score may be compared between roll hypotheses
+        of one pair.
+        """
+        plausibility = camera_plausibility(F[None], self.single.image_sizes)[0]
+        return float(self._evidence.scores(F[None], threshold_px)[0] * plausibility)

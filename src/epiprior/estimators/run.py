@@ -7,11 +7,12 @@ same, F transposed. Estimators draw samples and break ties by the order of numbe
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from epiprior.errors import SettingsError
-from epiprior.estimators.evidence import spread_evidence
+from epiprior.estimators.evidence import SpreadEvidence
 from epiprior.estimators.handover import HandOver, hand_over
 from epiprior.estimators.protocol import EstimatorSettings
 from epiprior.estimators.registry import Fit, fit, with_checked_points
@@ -27,13 +28,36 @@ _SURE_BY_CHANCE = -3.0  # of a homography without an F: expected once in a thous
 _MOST = 0.5  # and most of the matches lie on it
 
 
+class _Ready:
+    """The matches of one roll hypothesis, in working pixels, with all that is the same for every estimate on them."""
+
+    def __init__(self, matches: MatchSet, how: HandOver) -> None:
+        self.matches, self.handed = matches, hand_over(matches, how)
+        self.wide = self.evidence.single if how.collect else self.handed
+        self.weights = np.nan_to_num(self.wide.probability, nan=1.0)
+
+    @cached_property
+    def evidence(self) -> SpreadEvidence:
+        """What all matches say for an F."""
+        return SpreadEvidence(self.matches)
+
+
+@dataclass(frozen=True)
+class ReadyMatches:
+    """Matches that several estimates are made on; of `ready_matches`."""
+
+    hypotheses: tuple[_Ready, ...]
+    factors: Factors
+    turned: bool
+    seconds: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Hypothesis:
     """The outcome of one roll hypothesis, in working pixels: F and what supports it."""
 
     found: Fit
-    matches: MatchSet
-    handed: MatchSet
+    ready: _Ready
     collected: MatchSet
     F: FloatArray | None = None
     score: float = -1.0
@@ -47,6 +71,14 @@ class Described:
     facts: Facts | None
 
 
+def ready_matches(sets: Sequence[MatchSet], hand_over: HandOver, pixel_factors: Factors = (1.0, 1.0)) -> ReadyMatches:
+    """Return what `estimate_from_matches` makes of its arguments first, to estimate more than once on them."""
+    start = time.perf_counter()
+    sets, factors, turned = _in_order(sets, pixel_factors)
+    ready = tuple(_Ready(_scale(matches, 1 / factors[0], 1 / factors[1]), hand_over) for matches in sets)
+    return ReadyMatches(ready, factors, turned, time.perf_counter() - start)
+
+
 def estimate_from_matches(
     sets: Sequence[MatchSet],
     *,
@@ -56,22 +88,25 @@ def estimate_from_matches(
     settings: EstimatorSettings | None = None,
     pixel_factors: Factors = (1.0, 1.0),
     min_confidence: float | None = None,
+    ready: ReadyMatches | None = None,
 ) -> FundamentalEstimate:
     """Run an estimator on each of the sets, one per roll hypothesis, and return the best supported F.
 
     Each set is sorted best first; standard matches are a single set. Thresholds are meant in working pixels:
     `pixel_factors` are given pixels per working pixel in both images. `settings` replaces the estimator's own with the
-    threshold of `hand_over`, and `min_confidence` the confidence from which on the status is ``ok``. `iterations` of
-    the result adds up over the sets. Raises what `epiprior.estimators.fit` and `load_confidence` raise, and
-    SettingsError without any set.
+    threshold of `hand_over`, and `min_confidence` the confidence from which on the status is ``ok``. `ready` saves time
+    where these sets, hand-over and factors were made ready before; its seconds count all the same. `iterations` of the
+    result adds up over the sets. Raises what `epiprior.estimators.fit` and `load_confidence` raise, and SettingsError
+    without any set.
 
     Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F decides,
     each weighted by its probability and each part of the images once, times the plausibility of the cameras
     (`epiprior.estimators.evidence`). A thousand improbable matches then weigh less than fifty good ones.
     """
     options = settings or EstimatorSettings(threshold_px=hand_over.threshold_px)
-    start = time.perf_counter()
-    tried, best, factors, turned = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
+    ready = ready or ready_matches(sets, hand_over, pixel_factors)
+    start = time.perf_counter() - ready.seconds
+    tried, best, factors, turned = _try_all(ready, estimator, seed, hand_over, options)
     px, collected = options.threshold_px, best.collected
     H, kind = _homography(best, px)
     if best.F is None:
@@ -99,7 +134,7 @@ def estimate_from_matches(
         iterations=sum(n for n in drawn if n is not None) if any(n is not None for n in drawn) else None,
         estimator=estimator,
         version=best.found.version,
-        roll_deg=best.matches.roll_deg,
+        roll_deg=best.ready.matches.roll_deg,
         message=verdict.message,
         seconds={"estimator": running, "support": time.perf_counter() - start - running},
     )
@@ -107,11 +142,18 @@ def estimate_from_matches(
 
 
 def describe_from_matches(
-    sets: Sequence[MatchSet], *, estimator: str, seed: int = 0, hand_over: HandOver, pixel_factors: Factors = (1.0, 1.0)
+    sets: Sequence[MatchSet],
+    *,
+    estimator: str,
+    seed: int = 0,
+    hand_over: HandOver,
+    pixel_factors: Factors = (1.0, 1.0),
+    ready: ReadyMatches | None = None,
 ) -> Described:
     """Return F of `estimate_from_matches` for the same arguments and its facts, without what is learnt from them."""
     options = EstimatorSettings(threshold_px=hand_over.threshold_px)
-    tried, best, factors, turned = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
+    ready = ready or ready_matches(sets, hand_over, pixel_factors)
+    tried, best, factors, turned = _try_all(ready, estimator, seed, hand_over, options)
     if best.F is None:
         return Described(F=None, facts=None)
     H, _ = _homography(best, options.threshold_px)
@@ -121,11 +163,18 @@ def describe_from_matches(
 
 
 def best_fundamental(
-    sets: Sequence[MatchSet], *, estimator: str, seed: int = 0, hand_over: HandOver, pixel_factors: Factors = (1.0, 1.0)
+    sets: Sequence[MatchSet],
+    *,
+    estimator: str,
+    seed: int = 0,
+    hand_over: HandOver,
+    pixel_factors: Factors = (1.0, 1.0),
+    ready: ReadyMatches | None = None,
 ) -> FloatArray | None:
     """Return F of `estimate_from_matches` for the same arguments, in about half the time: nothing is verified."""
     options = EstimatorSettings(threshold_px=hand_over.threshold_px)
-    _, best, factors, turned = _try_all(sets, estimator, seed, hand_over, options, pixel_factors)
+    ready = ready or ready_matches(sets, hand_over, pixel_factors)
+    _, best, factors, turned = _try_all(ready, estimator, seed, hand_over, options)
     F = None if best.F is None else _to_given_pixels(best.F, factors)
     return F.T if turned and F is not None else F
 
@@ -146,13 +195,11 @@ def _in_order(sets: Sequence[MatchSet], factors: Factors) -> tuple[Sequence[Matc
 
 
 def _try_all(
-    sets: Sequence[MatchSet], estimator: str, seed: int, how: HandOver, options: EstimatorSettings, factors: Factors
+    ready: ReadyMatches, estimator: str, seed: int, how: HandOver, options: EstimatorSettings
 ) -> tuple[list[_Hypothesis], _Hypothesis, Factors, bool]:
     """Return all hypotheses, the best, and the factors of the images in our order; last, whether it is the other."""
-    sets, factors, turned = _in_order(sets, factors)
-    scaled = (_scale(matches, 1 / factors[0], 1 / factors[1]) for matches in sets)
-    tried = [_try(matches, estimator, seed, how, options) for matches in scaled]
-    return tried, max(tried, key=lambda hypothesis: hypothesis.score), factors, turned
+    tried = [_try(one, estimator, seed, how, options) for one in ready.hypotheses]
+    return tried, max(tried, key=lambda hypothesis: hypothesis.score), ready.factors, ready.turned
 
 
 def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:
@@ -181,25 +228,22 @@ def _to_given_pixels(F: FloatArray, factors: Factors) -> FloatArray | None:
     return normalise_fundamental(D2 @ F @ D1)
 
 
-def _try(matches: MatchSet, estimator: str, seed: int, how: HandOver, settings: EstimatorSettings) -> _Hypothesis:
-    """Hand over, estimate, collect, refine, score: one roll hypothesis."""
-    handed = hand_over(matches, how)
-    found = fit(estimator, handed, seed=seed, settings=settings)
-    F = found.F
+def _try(ready: _Ready, estimator: str, seed: int, how: HandOver, settings: EstimatorSettings) -> _Hypothesis:
+    """Estimate, collect, refine, score: one roll hypothesis."""
+    found = fit(estimator, ready.handed, seed=seed, settings=settings)
+    F, wide, weights = found.F, ready.wide, ready.weights
     if F is None:
-        return _Hypothesis(found=found, matches=matches, handed=handed, collected=handed)
-    wide = matches.one_to_one() if how.collect else handed
-    weights = np.nan_to_num(wide.probability, nan=1.0)
+        return _Hypothesis(found=found, ready=ready, collected=ready.handed)
     if how.refine:
         F = refine_fundamental(F, wide.x1, wide.x2, weights)
     if how.collect:
-        score = spread_evidence(F, matches)
+        score = ready.evidence.score(F)
         # Drop the matches that are likelier wrong than right even where they agree with F (Bayes).
         rate = chance_rate(F, wide.x1, wide.x2, settings.threshold_px)
         wide = wide.take(weights > rate * (1.0 - weights))
     else:
         score = float(np.count_nonzero(sampson_distance(F, wide.x1, wide.x2) < settings.threshold_px))
-    return _Hypothesis(found=found, matches=matches, handed=handed, collected=wide, F=F, score=score)
+    return _Hypothesis(found=found, ready=ready, collected=wide, F=F, score=score)
 
 
 def _homography(best: _Hypothesis, px: float) -> tuple[FloatArray | None, Geometry | None]:
@@ -236,7 +280,9 @@ def _homography_in_given_pixels(H: FloatArray, factors: Factors) -> FloatArray:
 def _facts(tried: Sequence[_Hypothesis], best: _Hypothesis, H: FloatArray | None, px: float) -> Facts:
     assert best.F is not None
     others = tuple(h.F for h in tried if h is not best and h.F is not None)
-    return describe_estimate(best.F, H, best.matches, best.handed, best.collected, px, others=others)
+    ready = best.ready
+    odds = ready.evidence.single, ready.evidence.weights
+    return describe_estimate(best.F, H, ready.matches, ready.handed, best.collected, px, others, odds)
 
 
 def _without_fundamental(tried: Sequence[_Hypothesis], best: _Hypothesis, kind: Geometry | None) -> Verdict:

@@ -91,13 +91,14 @@ def describe_estimate(
     handed: MatchSet,
     collected: MatchSet,
     threshold_px: float,
-    *,
     others: tuple[FloatArray, ...] = (),
+    odds: tuple[MatchSet, FloatArray] | None = None,
 ) -> Facts:
     """Return the facts of F, shape (3, 3), in working pixels.
 
     `matches` are those of its roll hypothesis, `handed` and `collected` are as in `Facts`; `H` is the best homography
-    of the supporters (`degeneracy.fit_homography`), `others` are the F of the other roll hypotheses.
+    of the supporters (`degeneracy.fit_homography`), `others` are the F of the other roll hypotheses, and `odds` is
+    `measures.weighed_matches` of `matches`, where that is known.
     """
     x1, x2 = collected.x1, collected.x2
     distance = sampson_distance(F, x1, x2)
@@ -105,7 +106,8 @@ def describe_estimate(
     first = sampson_distance(F, handed.x1, handed.x2) < threshold_px
     own = collected.take(inliers)
     total, support = distinct_count(x1, x2), distinct_count(own.x1, own.x2)
-    total_handed, support_handed = (distinct_count(m.x1, m.x2) for m in (handed, handed.take(first)))
+    total_handed = distinct_count(handed.x1, handed.x2)
+    support_handed = distinct_count(handed.x1[first], handed.x2[first])
     rate = chance_rate(F, x1, x2, threshold_px)
     cells = [len(first_of_equal(np.floor(x / measures.CELL_PX))) for x in (own.x1, own.x2)]
     extents = [(_side(a), _side(b)) for a, b in ((own.x1, x1), (own.x2, x2))]
@@ -132,7 +134,7 @@ def describe_estimate(
         by_chance_handed=log_chance(support_handed, total_handed, rate, MATCHES_PER_F),
         by_chance=log_chance(support, total, rate, MATCHES_PER_F),
         rate=math.log10(max(rate, 1e-9)),
-        **_odds(F, matches, own, threshold_px),
+        **_odds(F, odds or measures.weighed_matches(matches), own, threshold_px),
         plausibility=float(known),
         rolls=1.0 + len(others),
         rolls_agree=max(agree, default=1.0),
@@ -183,10 +185,9 @@ def _local_agreement(own: MatchSet) -> dict[str, float]:
     }
 
 
-def _odds(F: FloatArray, matches: MatchSet, own: MatchSet, threshold_px: float) -> dict[str, float]:
+def _odds(F: FloatArray, odds: tuple[MatchSet, FloatArray], own: MatchSet, threshold_px: float) -> dict[str, float]:
     """Return what the probabilities of all one-to-one matches say for F, and against it."""
-    single = matches.one_to_one()
-    weights = measures.match_weights(single, measures.prior_probability(single))
+    single, weights = odds
     agrees = sampson_distance(F, single.x1, single.x2) < threshold_px
     known = len(own) > 0 and bool(np.isfinite(own.probability).all())
     total = float(weights.sum())

@@ -57,7 +57,17 @@ def intrinsics(size: tuple[float, float], focal: float) -> FloatArray:
 def spread_groups(x1: FloatArray, x2: FloatArray) -> IntArray:
     """Return a number for each match, the same for those that lead from one cell to one cell: shape (N,), >= 0."""
     cells = np.floor(np.hstack([x1, x2]) / CELL_PX).astype(np.int64)
-    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    cells -= cells.min(axis=0, initial=0)
+    # One number for the four: sorting numbers is much faster than sorting rows.
+    sizes = cells.max(axis=0, initial=0) + 1
+    numbers = ((cells[:, 0] * sizes[1] + cells[:, 1]) * sizes[2] + cells[:, 2]) * sizes[3] + cells[:, 3]
+    return np.unique(numbers, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def weighed_matches(matches: MatchSet) -> tuple[MatchSet, FloatArray]:
+    """Return matches made one-to-one, each feature with its most probable match, and their `match_weights`."""
+    single = matches.one_to_one()
+    return single, match_weights(single, prior_probability(single))
 
 
 def match_weights(matches: MatchSet, probability: FloatArray) -> FloatArray:

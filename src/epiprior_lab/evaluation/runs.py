@@ -7,7 +7,7 @@ import numpy as np
 
 from epiprior.estimators import find_estimator
 from epiprior.estimators.handover import HandOver
-from epiprior.estimators.run import estimate_from_matches
+from epiprior.estimators.run import estimate_from_matches, ready_matches
 from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate
 from epiprior_lab.compute.seeds import child_seed
@@ -41,6 +41,7 @@ def each_run(
     different = seeds[:1] if getattr(find_estimator(estimator), "deterministic", False) else seeds
     for name, sets in matches.sets.items():
         how = {"estimator": estimator, "hand_over": hand_overs[name], "pixel_factors": matches.pixel_factors}
+        how["ready"] = ready_matches(sets, hand_overs[name], matches.pixel_factors)
         found = [run(sets, seed=child_seed(seed, pair_id), **how) for seed in different]
         for k, seed in enumerate(seeds):
             yield name, seed, found[min(k, len(found) - 1)]

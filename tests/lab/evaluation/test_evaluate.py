@@ -23,6 +23,7 @@ from epiprior_lab.evaluation.records import RECORDS
 from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
 from epiprior_lab.pairsets import fundamental_from_cameras
 from epiprior_lab.params import MeasureParams, load_params
+from synthetic import make_pair
 from worlds import camera_pair, points_before, two_cameras
 
 INPUTS = {"usac": ("standard", "snn", "default"), "magsac++": ("generalized", "default", "twin")}
@@ -86,7 +87,8 @@ def test_a_deterministic_estimator_runs_once(monkeypatch):
         asked.append(seed)
         return len(asked)
 
-    matches = inputs.PairMatches(sets={"standard": (), "snn": ()}, pixel_factors=(1.0, 1.0))
+    sets = (make_pair().matches,)
+    matches = inputs.PairMatches(sets={"standard": sets, "snn": sets}, pixel_factors=(1.0, 1.0))
     how = {"estimator": "usac", "seeds": SEEDS, "hand_overs": dict.fromkeys(matches.sets, HandOver())}
     found = list(runs.each_run(run, matches, "p", **how))
     assert found == [("standard", 0, 1), ("standard", 1, 2), ("snn", 0, 3), ("snn", 1, 4)]

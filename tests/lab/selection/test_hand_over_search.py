@@ -13,6 +13,7 @@ from epiprior_lab.evaluation import inputs
 from epiprior_lab.params import HandOverParams, WeightedParams
 from epiprior_lab.selection import hand_over_search
 from epiprior_lab.selection.hand_over_search import Trial, choose
+from synthetic import make_pair
 
 NUMBERS = {"max_distance_ratio": (0.7, 0.8, 0.9), "top_k": (100, 300, 500, None), "threshold_px": (1.0, 1.5, 2.0)}
 FLAGS = dict.fromkeys(("one_to_one", "refine", "collect"), (True, False))
@@ -22,9 +23,9 @@ SEARCHED = {"usac": ("standard", "default"), "prosac": ("standard", "default"), 
 
 
 def fake_files():
-    """Return matches of one pair: none of each input."""
+    """Return matches of one pair: the same of each input."""
     names = ("standard", "snn", "generalized", "default")
-    matches = inputs.PairMatches(sets=dict.fromkeys(names, ()), pixel_factors=(1.0, 1.0))
+    matches = inputs.PairMatches(sets=dict.fromkeys(names, (make_pair().matches,)), pixel_factors=(1.0, 1.0))
     files = SimpleNamespace(paths={}, read=lambda: matches)
     files.only = lambda names: files
     return files
