@@ -1,8 +1,9 @@
 """A collection as a COLMAP database: a new one, or what is missing in one that COLMAP has filled with features."""
 
 import contextlib
+import logging
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, Literal
 
 from epiprior.collection.images import ImageSet, known_images
 from epiprior.collection.run import MatchedCollection
+from epiprior.collection.verify import judge_pairs
 from epiprior.errors import FeatureError, ImageError, SettingsError
 from epiprior.io.colmap import add_camera, add_image, add_pair, check_colmap_output, writable
 from epiprior.io.features import read_colmap_features
@@ -17,6 +19,7 @@ from epiprior.io.output import replacing
 from epiprior.types import Features
 
 CameraMode = Literal["single", "per-folder", "per-image"]
+logger = logging.getLogger(__name__)
 _MOST_IMAGES = 2147483647  # COLMAP numbers a pair by image1 * this + image2
 
 
@@ -102,10 +105,10 @@ def _add_pairs(database: Any, matched: MatchedCollection, ids: dict[str, int], l
 
     count = 0
     with pycolmap.DatabaseTransaction(database):
-        for pair in matched:
-            if not pair.geometry or pair.confidence < least or not len(pair.matches):
+        for pair, why_not in judge_pairs(matched, least, logger.warning):
+            if why_not:
                 continue
-            how: dict[str, Any] = {"configuration": pair.geometry, "F": pair.F, "H": pair.H}
+            how: dict[str, Any] = {"configuration": pair.geometry, "F": pair.F, "H": pair.H, "E": pair.E}
             both = ids[pair.image1], ids[pair.image2]
             add_pair(database, both, pair.matches, inliers=len(pair.matches), **how)
             count += 1
@@ -119,6 +122,7 @@ class FilledDatabase:
     images: ImageSet
     features: Callable[[str], Features]
     verified: frozenset[tuple[str, str]]
+    cameras: Mapping[str, Any]
 
 
 def read_filled(path: Path, folder: Path | None, *, roots: int = 1) -> FilledDatabase:
@@ -127,6 +131,8 @@ def read_filled(path: Path, folder: Path | None, *, roots: int = 1) -> FilledDat
     Without photographs the descriptors of the features serve for all. FeatureError if it is no such database, or an
     image has no features; ImageError if a photograph is missing.
     """
+    import pycolmap
+
     try:
         with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as opened:
             names = dict(opened.execute("SELECT image_id, name FROM images ORDER BY name"))
@@ -140,5 +146,10 @@ def read_filled(path: Path, folder: Path | None, *, roots: int = 1) -> FilledDat
         raise FeatureError(f"{path}: exists already, but {what}: run COLMAP's feature extraction, or name a new file")
     pairs = (divmod(number, _MOST_IMAGES) for number in numbers)
     verified = frozenset((min(names[a], names[b]), max(names[a], names[b])) for a, b in pairs)
-    images = known_images(list(names.values()), folder, path)
-    return FilledDatabase(images=images, features=partial(read_colmap_features, path, roots=roots), verified=verified)
+    images, features = (
+        known_images(list(names.values()), folder, path),
+        partial(read_colmap_features, path, roots=roots),
+    )
+    with pycolmap.Database.open(path) as database:
+        cameras = {image.name: database.read_camera(image.camera_id) for image in database.read_all_images()}
+    return FilledDatabase(images=images, features=features, verified=verified, cameras=cameras)

@@ -6,6 +6,7 @@ import numpy as np
 
 from epiprior.collection.images import ImageSet, known_images
 from epiprior.collection.run import MatchedCollection
+from epiprior.collection.verify import judge_pairs
 from epiprior.errors import FeatureError, OutputError, require
 from epiprior.io.features import hloc_names
 from epiprior.io.output import check_output, replacing
@@ -56,10 +57,10 @@ def write_hloc_matches(path: Path, matched: MatchedCollection, least: float) -> 
     found = 0
     with replacing(path) as partial:
         with h5py.File(partial, "w", libver="latest") as file:
-            for (a, b), pair in zip(matched.pairs, matched, strict=True):
+            for (a, b), (pair, why_not) in zip(matched.pairs, judge_pairs(matched, least), strict=True):
                 kind = np.int16 if counts[b] <= _MOST_SHORT else np.int32
                 matches, scores = np.full(counts[a], -1, kind), np.zeros(counts[a], np.float16)
-                if pair.geometry and pair.confidence >= least:
+                if not why_not:
                     matches[pair.matches[:, 0]], scores[pair.matches[:, 0]] = pair.matches[:, 1], pair.confidence
                     found += 1
                 group = file.create_group("/".join(name.replace("/", "-") for name in (pair.image1, pair.image2)))

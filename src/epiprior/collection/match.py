@@ -3,9 +3,9 @@
 import functools
 import hashlib
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,14 +13,18 @@ from scipy.spatial import cKDTree
 from epiprior.collection.features import first_rows, read_features
 from epiprior.collection.images import CollectionImage
 from epiprior.collection.store import MatchedPair
+from epiprior.collection.verify import under_cameras
 from epiprior.collection.workers import installation
+from epiprior.features.images import blank_photograph
 from epiprior.io.colmap import configuration_of
 from epiprior.kernels.one_to_one import one_to_one_mask
+from epiprior.matching.guided import guided_matches
 from epiprior.presets import Mode, PreprocessSettings, check_choice
 from epiprior.two_view import estimate_fundamental
 from epiprior.types import Features, FloatArray, IntArray
 
 _SAME_PLACE_PX = 0.01
+_GUIDED_PX = 2.0  # working pixels
 _read = functools.lru_cache(maxsize=8)(read_features)  # pairs come image by image
 
 
@@ -37,15 +41,22 @@ class MatchSettings:
     def __post_init__(self) -> None:
         check_choice("mode", self.mode, get_args(Mode))
 
-    def pair_key(self, feature_keys: tuple[str, str]) -> bytes:
+    def pair_key(self, feature_keys: tuple[str, str], cameras: tuple[Any, Any] | None) -> bytes:
         """Return what the matches of two images depend on."""
-        return hashlib.sha256("\0".join([*feature_keys, repr(self), installation()]).encode()).digest()
+        known = [f"{c.model.name} {c.width} {c.height} {list(c.params)}" for c in cameras or ()]
+        return hashlib.sha256("\0".join([*feature_keys, *known, repr(self), installation()]).encode()).digest()
 
 
 def match_pair(
-    images: tuple[CollectionImage, CollectionImage], files: tuple[Path, Path], how: MatchSettings
+    images: tuple[CollectionImage, CollectionImage],
+    files: tuple[Path, Path],
+    how: MatchSettings,
+    cameras: tuple[Any, Any] | None = None,
 ) -> MatchedPair:
-    """Match two images whose features are in files: a task."""
+    """Match two images whose features are in files, by `cameras` of pycolmap whose focal lengths are known: a task.
+
+    To the inliers of an F that comes from simple matches those along its epipolar lines are added; ranking has them.
+    """
     start = time.perf_counter()
     stored = _read(files[0]), _read(files[1])
     view1, view2 = (one.view(image, how.settings.features) for one, image in zip(stored, images, strict=True))
@@ -54,7 +65,15 @@ def match_pair(
     geometry = configuration_of(found)
     inliers = np.flatnonzero(found.inliers) if geometry else np.empty(0, np.int64)
     rows = np.column_stack([_rows_of(first, found.x1[inliers]), _rows_of(second, found.x2[inliers])])
-    return MatchedPair(
+    rows = rows[one_to_one_mask(*rows.T)]
+    own = len(rows)
+    if found and found.F is not None and found.input != how.settings.name:
+        limit = how.settings.features.max_image_size
+        factors = blank_photograph(first.image_size, limit).factor, blank_photograph(second.image_size, limit).factor
+        more = guided_matches(first, second, found.F, threshold_px=_GUIDED_PX, factors=factors)
+        rows = np.concatenate([rows, np.column_stack([first_rows(first)[more[:, 0]], first_rows(second)[more[:, 1]]])])
+        rows = rows[one_to_one_mask(*rows.T)]
+    pair = MatchedPair(
         image1=images[0].name,
         image2=images[1].name,
         status=found.status.value,
@@ -63,10 +82,13 @@ def match_pair(
         confidence=found.confidence if found else float(bool(geometry)),
         F=found.F if found else None,
         H=found.H,
-        matches=rows[one_to_one_mask(*rows.T)],
+        matches=rows,
+        guided=len(rows) - own,
         input=found.input,
-        seconds=time.perf_counter() - start,
     )
+    if cameras is not None:
+        pair = under_cameras(pair, cameras, (first.xy, second.xy), how.seed)
+    return replace(pair, seconds=time.perf_counter() - start)
 
 
 def _rows_of(features: Features, xy: FloatArray) -> IntArray:

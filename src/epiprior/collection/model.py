@@ -1,5 +1,6 @@
 """From a database to COLMAP's model: pycolmap's incremental mapper, which gives the same model each time."""
 
+import logging
 import shutil
 from collections import Counter
 from collections.abc import Mapping
@@ -10,8 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from epiprior.collection.workers import WorkerLostError, open_pool, run_tasks
 from epiprior.io.colmap import quiet
 from epiprior.types import FloatArray
+
+logger = logging.getLogger(__name__)
+_TRIES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +31,30 @@ class Model:
     colours: NDArray[np.uint8]  # (P, 3), RGB
     tracks: Mapping[int, int]  # how many points are seen by how many images
     error_px: float  # mean reprojection error
+
+
+def map_beside(database: Path, image_root: Path, out: Path, seed: int) -> list[Model]:
+    """Do what `map_database` does in a process of its own, again with the next seed where the mapper crashes.
+
+    pycolmap 4.2 does so once in a while where photographs share a camera of unknown focal length. WorkerLostError if it
+    does each time.
+    """
+    for number in range(seed, seed + _TRIES - 1):
+        try:
+            return _in_a_worker(database, image_root, out, number)
+        except WorkerLostError:
+            logger.warning("COLMAP's mapper crashed with seed %s: again with the next", number)
+    return _in_a_worker(database, image_root, out, seed + _TRIES - 1)
+
+
+def _in_a_worker(*arguments: Any) -> list[Model]:
+    with open_pool(1) as pool:
+        (models,) = (found for _, found in run_tasks(pool, _map, [(0, arguments)]))
+    return list(models)
+
+
+def _map(database: Path, image_root: Path, out: Path, seed: int) -> list[Model]:
+    return map_database(database, image_root, out, seed=seed)
 
 
 def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0, refine: bool = True) -> list[Model]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from epiprior.collection.model import Model
 from epiprior.collection.run import MatchedCollection
+from epiprior.collection.verify import judge_pairs
 from epiprior.io.output import replacing
 from epiprior.types import FloatArray
 
@@ -53,12 +54,10 @@ def write_report(path: Path, matched: MatchedCollection, models: Sequence[Model]
     place = {name: index for index, name in enumerate(names)}
     confidence, inliers = np.full((len(names), len(names)), np.nan), np.zeros((len(names), len(names)))
     outcomes: Counter[str] = Counter()
-    for pair in matched:
+    for pair, why_not in judge_pairs(matched, least):
         at = place[pair.image1], place[pair.image2]
-        kept = bool(pair.geometry) and pair.confidence >= least
-        confidence[at], inliers[at] = pair.confidence, len(pair.matches) if kept else 0
-        why = "low confidence" if pair.geometry else pair.status
-        outcomes[pair.geometry if kept else f"not written: {why}"] += 1
+        confidence[at], inliers[at] = pair.confidence, 0 if why_not else len(pair.matches)
+        outcomes[f"not written: {why_not}" if why_not else pair.geometry] += 1
     registered = {name: (number, seen) for number, model in enumerate(models) for name, seen in model.seen.items()}
     summary = f"{len(registered)} of {len(names)} images are registered, in {len(models)} models. "
     summary += f"{int((inliers > 0).sum())} of {len(matched)} pairs have a geometry."

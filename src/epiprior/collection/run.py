@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,7 @@ class MatchedCollection:
     feature_keys: Sequence[str] = field(repr=False)
     how: MatchSettings = field(repr=False)
     store: PairStore = field(repr=False)
+    cameras: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -56,7 +57,13 @@ class MatchedCollection:
 
     def key(self, pair: Pair) -> bytes:
         """Return the key of a pair in the store."""
-        return self.how.pair_key((self.feature_keys[pair[0]], self.feature_keys[pair[1]]))
+        return self.how.pair_key((self.feature_keys[pair[0]], self.feature_keys[pair[1]]), self.cameras_of(pair))
+
+    def cameras_of(self, pair: Pair) -> tuple[Any, Any] | None:
+        """Return the cameras of a pair where the focal lengths of both are known."""
+        first, second = (self.cameras.get(self.images.images[place].name) for place in pair)
+        known = all(camera is not None and camera.has_prior_focal_length for camera in (first, second))
+        return (first, second) if known else None
 
     def file(self, place: int) -> Path:
         """Return the file of the features of an image."""
@@ -78,6 +85,7 @@ def match_collection(
     seed: int = 0,
     threshold_px: float | None = None,
     mask_path: str | Path | None = None,
+    cameras: Mapping[str, Any] | None = None,
     work: str | Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -95,6 +103,8 @@ def match_collection(
         default exhaustive up to 200 images, else ``similar:20``.
     mode, estimator, preset, settings, seed, threshold_px : As for `epiprior.estimate_fundamental`.
     mask_path : A folder of masks, as COLMAP takes them.
+    cameras : By name of the image, of pycolmap. Where those of both images have a prior focal length, an essential
+        matrix is estimated on the inliers of F; see `epiprior.collection.verify`.
     work : A folder that keeps features and matches: with the same folder, a run that was killed goes on. Made if
         absent; by default a temporary one, which is removed with the result.
     workers : Processes; by default as many as this process may use cores.
@@ -136,7 +146,7 @@ def match_collection(
             planned = choose_pairs(wanted, names, descriptors) if planned is None else planned
             assert planned is not None
             planned = [(a, b) for a, b in planned if (names[a], names[b]) not in without]
-            kept: dict[str, Any] = {"feature_keys": keys, "how": how, "store": store}
+            kept: dict[str, Any] = {"feature_keys": keys, "how": how, "store": store, "cameras": cameras or {}}
             matched = MatchedCollection(images=found, pairs=planned, work=folder, **kept)
             _match_pairs(pool, matched, on_pair, on_progress)
         stack.pop_all()
@@ -200,7 +210,8 @@ def _match_pairs(
                 ready(store.read(key))
             else:
                 a, b = pair
-                yield key, ((images[a], images[b]), (matched.file(a), matched.file(b)), matched.how)
+                files, cameras = (matched.file(a), matched.file(b)), matched.cameras_of(pair)
+                yield key, ((images[a], images[b]), files, matched.how, cameras)
 
     for key, pair in run_tasks(pool, match_pair, jobs()):
         store.write(key, pair)

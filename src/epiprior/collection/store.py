@@ -11,7 +11,9 @@ import numpy as np
 from epiprior.errors import OutputError
 from epiprior.types import FloatArray, IntArray
 
-_COLUMNS = "key, image1, image2, status, message, geometry, confidence, F, H, matches, input, seconds"
+_MATRICES = ("F", "H", "E")
+_PLAIN = ["image1", "image2", "status", "message", "geometry", "confidence", "guided", "calibrated", "input", "seconds"]
+_COLUMNS = ", ".join(("key", *_MATRICES, "matches", *_PLAIN))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,8 +27,11 @@ class MatchedPair:
     geometry : COLMAP's name of the configuration, such as ``UNCALIBRATED`` or ``PLANAR``; empty if there is none.
     confidence : That F is right, in [0, 1]; 1 where a homography relates the images.
     F, H : (3, 3) float64, pixels, the centre of the top-left pixel at (0, 0); None where not found.
+    E : (3, 3) float64, the essential matrix under focal lengths that are known; None without.
     matches : (M, 2) int64. Inliers, one-to-one: rows of the keypoints of both images; empty without a geometry.
-    input : What the estimate comes from: ``standard`` or the preset.
+    guided : So many of them, the last, were gathered along the epipolar lines of F.
+    calibrated : Share of the other inliers of F that an essential matrix keeps; None where a focal length is not known.
+    input : What the estimate comes from: ``snn``, ``standard`` or the preset.
     seconds : Wall time.
     """
 
@@ -38,7 +43,10 @@ class MatchedPair:
     confidence: float = 0.0
     F: FloatArray | None = None
     H: FloatArray | None = None
+    E: FloatArray | None = None
     matches: IntArray
+    guided: int = 0
+    calibrated: float | None = None
     input: str = ""
     seconds: float = 0.0
 
@@ -59,9 +67,9 @@ class PairStore:
 
     def write(self, key: bytes, pair: MatchedPair) -> None:
         """Keep a pair."""
-        arrays = [None if M is None else M.tobytes() for M in (pair.F, pair.H)]
-        known = [getattr(pair, name) for name in _COLUMNS.split(", ")[1:7]]
-        row = (key, *known, *arrays, pair.matches.astype(np.uint32).tobytes(), pair.input, pair.seconds)
+        matrices = [getattr(pair, name) for name in _MATRICES]
+        arrays = [None if M is None else np.asarray(M, np.float64).tobytes() for M in matrices]
+        row = (key, *arrays, pair.matches.astype(np.uint32).tobytes(), *(getattr(pair, name) for name in _PLAIN))
         with self._told():
             self._opened.execute(f"INSERT OR REPLACE INTO pairs VALUES ({', '.join('?' * len(row))})", row)
 
@@ -69,10 +77,9 @@ class PairStore:
         """Return the pair that was kept under a key."""
         with self._told():
             row = self._opened.execute("SELECT * FROM pairs WHERE key = ?", (key,)).fetchone()
-        F, H = (None if M is None else np.frombuffer(M).reshape(3, 3) for M in row[7:9])
-        known = dict(zip(_COLUMNS.split(", ")[1:7], row[1:7], strict=True))
-        matches = np.frombuffer(row[9], np.uint32).reshape(-1, 2).astype(np.int64)
-        return MatchedPair(**known, F=F, H=H, matches=matches, input=row[10], seconds=row[11])
+        arrays, known = row[1:4], dict(zip(_PLAIN, row[5:], strict=True))
+        known |= {name: M and np.frombuffer(M).reshape(3, 3) for name, M in zip(_MATRICES, arrays, strict=True)}
+        return MatchedPair(**known, matches=np.frombuffer(row[4], np.uint32).reshape(-1, 2).astype(np.int64))
 
     def close(self) -> None:
         """Close the file."""

@@ -37,6 +37,10 @@ class WorkerError(EpipriorError):
     """A task failed by a bug, or its worker was lost; the message has the traceback or says what was in flight."""
 
 
+class WorkerLostError(WorkerError):
+    """A worker ended while it had a task."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Pool:
     """How a call is handed out, and how many should be on their way: no worker waits, and memory stays bounded."""
@@ -101,7 +105,7 @@ def _ask(process: subprocess.Popen[bytes], call: tuple[Any, ...]) -> Any:
         process.stdin.flush()
         value = pickle.load(process.stdout)
     except (EOFError, OSError, pickle.UnpicklingError) as error:
-        raise WorkerError("a worker was killed, perhaps because memory ran out: give fewer workers") from error
+        raise WorkerLostError("a worker was killed, perhaps because memory ran out: give fewer workers") from error
     if isinstance(value, Exception):
         raise value
     return value

@@ -3,7 +3,7 @@
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,6 +14,7 @@ from epiprior.commands.printing import complain, say
 from epiprior.errors import OutputError, require
 
 if TYPE_CHECKING:
+    from epiprior.collection.images import ImageSet
     from epiprior.collection.run import MatchedCollection
 
 _logger = logging.getLogger(__name__)
@@ -63,7 +64,7 @@ def sfm(
     """
     from epiprior.collection.database import CameraSettings, infer_cameras, write_database
     from epiprior.collection.images import find_images
-    from epiprior.collection.model import map_database
+    from epiprior.collection.model import map_beside
     from epiprior.collection.report import write_report
 
     settings = options.chosen_settings(preset, features, max_image_size, max_features)
@@ -76,13 +77,13 @@ def sfm(
     work.mkdir(parents=True, exist_ok=True)
     matched = _match(
         found, pairs=pairs, mode=mode, workers=workers, scheduler=scheduler, estimator=estimator, seed=seed,
-        threshold_px=threshold, settings=settings, work=work,
+        threshold_px=threshold, settings=settings, work=work, cameras=_by_name(found, cameras),
     )  # fmt: skip
     database.unlink(missing_ok=True)
     count = write_database(database, matched, cameras, min_confidence)
     say(f"{database}: {count} of {len(matched)} pairs have a geometry")
     _logger.info("mapping")
-    models = map_database(database, found.root, out / "sparse", seed=seed)
+    models = map_beside(database, found.root, out / "sparse", seed)
     write_report(out / "report.html", matched, models, min_confidence)
     for model in models:
         say(f"{model.folder}: {len(model.seen)} of {len(found.images)} images, {len(model.points)} points")
@@ -139,7 +140,7 @@ def colmap(
         if mask_path is not None:
             raise typer.BadParameter(f"{database} has features already: --mask-path comes too late")
         filled = colmap_database.read_filled(database, images[0] if images else None, roots=roots)
-        matched = _match(filled.images, given=filled.features, without=filled.verified, **asked)
+        matched = _match(filled.images, given=filled.features, without=filled.verified, cameras=filled.cameras, **asked)
         count = colmap_database.extend_database(database, matched, min_confidence)
     else:
         if not images:
@@ -148,7 +149,7 @@ def colmap(
         found = find_images(images, mask_path=mask_path)
         how = colmap_database.CameraSettings(mode=camera_mode, model=camera_model, params=camera_params)
         cameras = colmap_database.infer_cameras(found, how)
-        matched = _match(found, **asked)
+        matched = _match(found, cameras=_by_name(found, cameras), **asked)
         count = colmap_database.write_database(database, matched, cameras, min_confidence)
     _tell(database, count, matched)
     say(f"map it: colmap mapper --database_path {database} --image_path {matched.images.root} --output_path sparse")
@@ -200,6 +201,10 @@ def _match(images: Any, **asked: Any) -> "MatchedCollection":
 
     with _progress() as on_progress:
         return match_collection(images, on_progress=on_progress, **asked)
+
+
+def _by_name(found: "ImageSet", cameras: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    return {image.name: camera for image, (_, camera) in zip(found.images, cameras, strict=True)}
 
 
 def _tell(written: Path, count: int, matched: "MatchedCollection") -> None:

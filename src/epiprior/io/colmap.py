@@ -223,6 +223,7 @@ def add_pair(
     configuration: str = "",
     F: FloatArray | None = None,
     H: FloatArray | None = None,
+    E: FloatArray | None = None,
 ) -> None:
     """Write the matches (M, 2) of a pair of images, and a geometry of COLMAP's `configuration` for the first of them.
 
@@ -242,8 +243,22 @@ def add_pair(
     geometry.config = pycolmap.TwoViewGeometryConfiguration.__members__[configuration]
     geometry.F = None if F is None else fundamental_for_colmap(F)
     geometry.H = None if H is None else homography_for_colmap(H)
+    geometry.E = E
     geometry.inlier_matches = rows[:inliers]
     database.write_two_view_geometry(*ids, geometry)
+
+
+def estimate_essential(
+    x1: FloatArray, x2: FloatArray, cameras: tuple[Any, Any], seed: int = 0
+) -> dict[str, Any] | None:
+    """Return pycolmap's essential matrix, and what comes with it, for matches (N, 2) of two of its cameras."""
+    import pycolmap
+
+    options = pycolmap.RANSACOptions()
+    options.max_error, options.random_seed = pycolmap.TwoViewGeometryOptions().ransac.max_error, seed
+    both = x1 + _HALF_PIXEL, x2 + _HALF_PIXEL
+    found: dict[str, Any] | None = pycolmap.estimate_essential_matrix(*both, *cameras, options)
+    return found
 
 
 def configuration_of(estimate: FundamentalEstimate) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from epiprior.collection.model import Model, map_database
 from epiprior.io.colmap import quiet
 from epiprior_lab.bags.choose import Bag, View
-from epiprior_lab.bags.methods import MODES, fill_database, know_cameras, processor_seconds
+from epiprior_lab.bags.methods import fill_database, know_cameras, processor_seconds
 from epiprior_lab.bags.params import MapperParams
 from epiprior_lab.evaluation.learned import Columns
 
@@ -71,13 +71,14 @@ def measure_bag(
             (images / name).symlink_to(view.image.resolve())
         start = processor_seconds()
         how: dict[str, Any] = {"seed": mapper.seed, "min_confidence": mapper.min_confidence, "learned": learned}
-        features = fill_database(method, images, database, **how)
+        features, matched = fill_database(method, images, database, **how)
         used = processor_seconds() - start + learned_s
         seconds: dict[str, Any] = {"features_s": features if learned is None else np.nan, "matching_s": used - features}
         for kind in reversed(INTRINSICS):
             if kind == "known":
                 with quiet():
-                    know_cameras(database, bag.named, verify=method not in MODES, seed=mapper.seed)
+                    least = mapper.min_confidence
+                    know_cameras(database, bag.named, matched, seed=mapper.seed, min_confidence=least)
             start = processor_seconds()
             sparse = Path(scratch, "sparse")
             models = map_database(database, images, sparse, seed=mapper.seed, refine=kind == "inferred")

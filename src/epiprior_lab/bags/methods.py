@@ -5,9 +5,11 @@ mutual nearest neighbours below a ratio, COLMAP's verification. `cascade` and `p
 colmap`` fills a database. Learned matchers bring keypoints and matches, which COLMAP verifies. One thread each.
 """
 
+import contextlib
 import itertools
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from epiprior.collection.images import find_images
 from epiprior.collection.match import MatchSettings, match_pair
 from epiprior.collection.run import MatchedCollection
 from epiprior.collection.store import PairStore
+from epiprior.collection.verify import under_cameras
 from epiprior.io.colmap import add_camera, add_image, add_pair, quiet
 from epiprior.matching.baselines import snn_matches
 from epiprior.presets import Mode, find_preset
@@ -37,35 +40,58 @@ def processor_seconds() -> float:
 
 def fill_database(
     method: str, images: Path, database: Path, *, seed: int, min_confidence: float, learned: Sequence[Columns] | None
-) -> float:
+) -> tuple[float, MatchedCollection | None]:
     """Fill a new database from the photographs of a folder; return the processor seconds that features took.
 
-    `learned` is what a learned matcher found for all pairs, in order; its features were found before.
+    `learned` is what a learned matcher found for all pairs, in order; its features were found before. Last, for
+    `know_cameras`, what epiprior found.
     """
     with quiet():
         if learned is not None:
             _write_learned(images, database, learned, seed)
-            return 0.0
+            return 0.0, None
         if method == "colmap":
-            return _by_colmap(images, database, seed)
+            return _by_colmap(images, database, seed), None
         return _by_epiprior(method, images, database, seed=seed, min_confidence=min_confidence)
 
 
-def know_cameras(database: Path, named: Mapping[str, View], *, verify: bool, seed: int) -> None:
-    """Put the true intrinsics into a database, and with `verify` let COLMAP verify all matches under these."""
+def know_cameras(
+    database: Path, named: Mapping[str, View], matched: MatchedCollection | None, *, seed: int, min_confidence: float
+) -> None:
+    """Put the true intrinsics into a database, and verify all matches under these: as COLMAP, or as epiprior does."""
     import pycolmap
 
+    if matched is not None:
+        cameras = {name: _true_camera(view) for name, view in named.items()}
+        database.unlink()
+        write_database(database, _under(cameras, matched, seed), list(cameras.items()), min_confidence)
+        return
     with pycolmap.Database.open(database) as opened:
         for image in opened.read_all_images():
-            truth = named[image.name].camera
-            (fx, _, cx), (_, fy, cy) = truth.K[:2]
-            camera = pycolmap.Camera.create_from_model_name(image.camera_id, "PINHOLE", fx, truth.width, truth.height)
-            camera.params, camera.has_prior_focal_length = [fx, fy, cx + 0.5, cy + 0.5], True
+            camera = _true_camera(named[image.name])
+            camera.camera_id = image.camera_id
             opened.update_camera(camera)
-        if verify:
-            opened.clear_two_view_geometries()
-    if verify:
-        _verify(database, list(named), seed)
+        opened.clear_two_view_geometries()
+    _verify(database, list(named), seed)
+
+
+def _true_camera(view: View) -> Any:
+    import pycolmap
+
+    (fx, _, cx), (_, fy, cy) = view.camera.K[:2]
+    camera = pycolmap.Camera.create_from_model_name(0, "PINHOLE", fx, view.camera.width, view.camera.height)
+    camera.params, camera.has_prior_focal_length = [fx, fy, cx + 0.5, cy + 0.5], True
+    return camera
+
+
+def _under(cameras: Mapping[str, Any], matched: MatchedCollection, seed: int) -> MatchedCollection:
+    """Return a collection that was matched without cameras, under these."""
+    known = replace(matched, cameras=cameras)
+    for pair, found in zip(matched.pairs, matched, strict=True):
+        if (both := known.cameras_of(pair)) is not None:
+            xy = matched.features(pair[0]).xy, matched.features(pair[1]).xy
+            known.store.write(known.key(pair), under_cameras(found, both, xy, seed))
+    return known
 
 
 def _by_colmap(images: Path, database: Path, seed: int) -> float:
@@ -83,7 +109,9 @@ def _by_colmap(images: Path, database: Path, seed: int) -> float:
     return used
 
 
-def _by_epiprior(method: str, images: Path, database: Path, *, seed: int, min_confidence: float) -> float:
+def _by_epiprior(
+    method: str, images: Path, database: Path, *, seed: int, min_confidence: float
+) -> tuple[float, MatchedCollection | None]:
     """Do what `match_collection` does, in this process, so that processor time is that of the work."""
     found, settings, start = find_images(images), find_preset("default"), processor_seconds()
     how = MatchSettings(settings=settings, mode=MODES.get(method, "standard"), seed=seed)
@@ -101,16 +129,19 @@ def _by_epiprior(method: str, images: Path, database: Path, *, seed: int, min_co
     for a, b in matched.pairs:
         both = (found.images[a], found.images[b]), (matched.file(a), matched.file(b))
         store.write(matched.key((a, b)), match_pair(*both, how))
-    write_database(database, matched, infer_cameras(found, CameraSettings()), min_confidence)
-    store.close()
-    if method not in MODES:
+    cameras = infer_cameras(found, CameraSettings())
+    by_name = {image.name: camera for image, (_, camera) in zip(found.images, cameras, strict=True)}
+    write_database(database, _under(by_name, matched, seed), cameras, min_confidence)
+    if method in MODES:
+        return used, matched
+    with contextlib.closing(store):
         rows = {}
         for a, b in pairs:
             one = snn_matches(None, None, features1=matched.features(a), features2=matched.features(b)).one_to_one()
             names = found.images[a].name, found.images[b].name
             rows[names] = np.column_stack([one.feature1, one.feature2])
         _add_matches(database, rows, seed)
-    return used
+    return used, None
 
 
 def _write_learned(images: Path, database: Path, learned: Sequence[Columns], seed: int) -> None:
