@@ -18,6 +18,7 @@ from epiprior.collection.features import make_features, read_features
 from epiprior.collection.images import find_images
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
+from epiprior.geometry import sampson_distance
 from epiprior.presets import DEFAULT
 from pictures import relief_pair, rotated, save
 
@@ -43,6 +44,15 @@ def test_matches_are_rows_of_keypoints_one_to_one(tmp_path, monkeypatch):
         xy = found.features(place).xy
         np.testing.assert_array_equal(np.unique(xy, axis=0)[:MATCHES], xy[first][np.lexsort(xy[first].T[::-1])])
         assert all((xy[:row] != xy[row]).any(axis=1).all() for row in first)
+
+
+def test_simple_matches_of_an_f_are_joined_by_those_along_its_lines(tmp_path):
+    found = match_collection(views(tmp_path / "set", 2), mode="standard", workers=1)
+    (pair,) = found
+    assert 0 < pair.guided < len(pair.matches)
+    x1, x2 = (found.features(place).xy[rows].astype(float) for place, rows in enumerate(pair.matches.T))
+    assert sampson_distance(pair.F, x1, x2).max() < 2.0
+    assert all(len(np.unique(rows)) == len(rows) for rows in pair.matches.T)
 
 
 def test_what_is_ready_is_not_made_again(tmp_path, monkeypatch):
@@ -141,7 +151,7 @@ def test_a_killed_run_goes_on(tmp_path):
     match_collection(folder, work=tmp_path / "whole", workers=1, mode="standard")
     whole = kept_rows(tmp_path / "whole" / "pairs.db")
     assert len(whole) == 6
-    assert sum(row[5] == "UNCALIBRATED" for row in whole) > 3
+    assert sum("UNCALIBRATED" in row for row in whole) > 3
     with subprocess.Popen([sys.executable, "-c", PROGRAM, str(folder), str(kept.parent)]) as running:
         while running.poll() is None and not begun(kept):
             time.sleep(0.01)

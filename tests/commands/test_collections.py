@@ -13,6 +13,8 @@ from collections_fakes import FakeEstimation, in_this_process, rows_of, small_im
 from command_line import one_line, refused
 from command_line import run_command as run
 from epiprior import Status
+from epiprior.collection.model import map_beside
+from epiprior.collection.workers import WorkerLostError
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.presets import find_preset
@@ -47,6 +49,43 @@ def test_colmap(estimation, images, tmp_path):
     assert "exists already" in refused("colmap", *images.iterdir(), "--database", tmp_path / "out.db")
     assert run("colmap", "--database", tmp_path / "new.db").exit_code == 2
     assert run("colmap", images / "Photo 1.png", "--database", tmp_path / "new.db").exit_code == 2
+
+
+def test_known_focal_lengths_decide_with(tmp_path):
+    folder = views(tmp_path / "set", 3)
+    known = ("--mode=standard", "--workers=1", "--camera-model=SIMPLE_PINHOLE", "--camera-params=600,240,150")
+    assert run("colmap", folder, "--database", tmp_path / "out.db", *known).exit_code == 0
+    with pycolmap.Database.open(tmp_path / "out.db") as database:
+        geometry = database.read_two_view_geometry(1, 2)
+    assert geometry.config == pycolmap.TwoViewGeometryConfiguration.CALIBRATED.value
+    assert abs(np.linalg.det(geometry.E)) < 1e-6
+    extract_colmap(tmp_path / "filled.db", folder)
+    with pycolmap.Database.open(tmp_path / "filled.db") as database:
+        for camera in database.read_all_cameras():
+            camera.has_prior_focal_length = True
+            database.update_camera(camera)
+    assert run("colmap", folder, "--database", tmp_path / "filled.db", *known[:2]).exit_code == 0
+    with pycolmap.Database.open(tmp_path / "filled.db") as database:
+        assert database.read_two_view_geometry(1, 2).config == geometry.config
+
+
+def test_a_mapper_that_crashes_is_asked_again(tmp_path, monkeypatch, caplog):
+    seeds = []
+
+    def crash_once(pool, function, jobs):
+        seeds.extend(number for *_, number in (arguments for _, arguments in jobs))
+        if len(seeds) < 2:
+            raise WorkerLostError("as the test wants")
+        return [(0, [])]
+
+    monkeypatch.setattr("epiprior.collection.model.run_tasks", crash_once)
+    assert map_beside(tmp_path / "a.db", tmp_path, tmp_path / "sparse", 5) == []
+    assert seeds == [5, 6]
+    assert "crashed with seed 5" in caplog.text
+    monkeypatch.setattr("epiprior.collection.model._TRIES", 1)
+    seeds.clear()
+    with pytest.raises(WorkerLostError):
+        map_beside(tmp_path / "a.db", tmp_path, tmp_path / "sparse", 5)
 
 
 def test_without_geometry_or_model_it_is_said_why(images, tmp_path, monkeypatch):

@@ -25,14 +25,18 @@ def _similar_on_lines(F, x1, x2, d1, d2, limit_sq):  # type: ignore[no-untyped-d
     f3, f4, f5 = F[1, 0], F[1, 1], F[1, 2]
     f6, f7, f8 = F[2, 0], F[2, 1], F[2, 2]
     found, similarity = np.empty((32 * len(x1) + len(x2), 2), np.int64), np.empty(32 * len(x1) + len(x2), np.float32)
+    u, v, inside = x2[:, 0].copy(), x2[:, 1].copy(), np.empty(len(x2), np.bool_)
     near = np.empty(len(x2), np.int64)
     total = 0
     for i in range(len(x1)):
         x, y, count = x1[i, 0], x1[i, 1], 0
-        for j in range(len(x2)):
-            e, g = residual(f0, f1, f2, f3, f4, f5, f6, f7, f8, x, y, x2[j, 0], x2[j, 1])
-            near[count] = j
-            count += e * e < limit_sq * g
+        for j in range(len(u)):  # vector instructions
+            e, g = residual(f0, f1, f2, f3, f4, f5, f6, f7, f8, x, y, u[j], v[j])
+            inside[j] = e * e < limit_sq * g
+        for j in range(len(u)):
+            if inside[j]:
+                near[count] = j
+                count += 1
         if total + count > len(similarity):
             found = np.concatenate((found, np.empty_like(found)))
             similarity = np.concatenate((similarity, np.empty_like(similarity)))
@@ -81,7 +85,8 @@ def guided_matches(
     mutual = place1[nearest2[to]] == place1[rows]
     keep = np.flatnonzero(mutual & (angle1[rows] <= MAX_ANGLE) & (ratio <= MAX_DISTANCE_RATIO))
     keep = keep[np.argsort(ratio[keep], kind="stable")]
-    return np.column_stack([first1[place1[rows[keep]]], first2[place2[to[keep]]]])
+    matches = np.column_stack([first1[place1[rows[keep]]], first2[place2[to[keep]]]])
+    return matches[np.sort(np.unique(matches, axis=0, return_index=True)[1])]  # twins find the same
 
 
 def _nearest(

@@ -1,0 +1,64 @@
+"""Pairs that are relied on: what known focal lengths confirm, what they contradict, and when they are not believed."""
+
+import numpy as np
+import pytest
+
+from epiprior.collection.store import MatchedPair
+from epiprior.collection.verify import CONTRADICTS, MIN_CALIBRATED, judge_pairs, under_cameras
+from synthetic import FOCAL, HEIGHT, WIDTH, K, make_pair
+
+pycolmap = pytest.importorskip("pycolmap")
+
+PAIR = make_pair(inliers=150, outliers=0, noise_px=0.3)
+XY = PAIR.matches.x1, PAIR.matches.x2
+
+
+def camera(focal):
+    made = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", focal, WIDTH, HEIGHT)
+    made.params = [focal, WIDTH / 2 + 0.5, HEIGHT / 2 + 0.5]
+    return made
+
+
+def matched(**changes):
+    rows = np.arange(150)
+    about = {"image1": "a", "image2": "b", "status": "ok", "geometry": "UNCALIBRATED", "confidence": 0.9, "F": PAIR.F}
+    return MatchedPair(**(about | {"matches": np.column_stack([rows, rows])} | changes))
+
+
+def test_known_focal_lengths_confirm_a_right_pair_and_sort_out_what_was_gathered():
+    wrong = np.column_stack([np.arange(150), np.roll(np.arange(150), 40)])[:30]
+    pair = matched(matches=np.vstack([matched().matches, wrong]), guided=30)
+    found = under_cameras(pair, (camera(FOCAL), camera(FOCAL)), XY)
+    assert found.geometry == "CALIBRATED"
+    assert found.calibrated > 0.95
+    assert found.guided < 15
+    assert len(found.matches) == len(np.unique(found.matches[:, 0])) + found.guided
+    x1, x2 = (np.column_stack([xy[:150], np.ones(150)]) @ np.linalg.inv(K).T for xy in XY)
+    assert np.median(np.abs(np.einsum("ni,ij,nj->n", x2, found.E / np.linalg.norm(found.E), x1))) < 1e-3
+
+
+def test_a_pair_that_contradicts_the_focal_lengths_stays_as_it_is_and_is_told():
+    found = under_cameras(matched(), (camera(4 * FOCAL), camera(FOCAL / 4)), XY)
+    assert found.geometry == "UNCALIBRATED"
+    assert found.calibrated < MIN_CALIBRATED
+    assert found.E is None
+    np.testing.assert_array_equal(found.matches, matched().matches)
+    flat = matched(geometry="PLANAR", F=None)
+    assert under_cameras(flat, (camera(FOCAL), camera(FOCAL)), XY) is flat
+
+
+def test_pairs_are_left_out_by_confidence_and_focal_lengths_unless_most_contradict_these():
+    right, against, unknown = matched(calibrated=0.99), matched(calibrated=0.5), matched()
+    others = [
+        matched(confidence=0.4, calibrated=0.1),
+        matched(status="no_model", geometry="", matches=np.empty((0, 2))),
+    ]
+    told = []
+    whys = [why for _, why in judge_pairs([right, against, unknown, right, *others], 0.5, told.append)]
+    assert whys == ["", CONTRADICTS, "", "", "low confidence", "no_model"]
+    assert told == ["1 of 3 pairs contradict the focal lengths of their cameras, and were left out"]
+    assert [why for _, why in judge_pairs([right, against, against], 0.5, told.append)] == ["", "", ""]
+    assert "2 of 3" in told[1]
+    assert "were kept" in told[1]
+    assert [why for _, why in judge_pairs([right, unknown], 0.5, told.append)] == ["", ""]
+    assert len(told) == 2
