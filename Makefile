@@ -92,7 +92,7 @@ wheel: $(READY)  ## build the wheel, with the models in it, into dist/
 clean:  ## remove data, DVC's cache and MLflow's records (models and reports stay)
 	rm -rf data .dvc/cache .dvc/tmp mlflow.db mlartifacts mlruns dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
-# The environment is made anew when the lock changes, the package is installed again when its metadata changes.
+# The environment is made anew when the content of the lock changes, the package is installed again when its metadata changes.
 define check-python
 if ! "$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then \
 	echo "epiprior needs Python 3.11 or newer; found $(or $(PYTHON),none). Set PYTHON=/path/to/python3.11" >&2; exit 1; fi
@@ -100,13 +100,13 @@ endef
 
 $(VENV)/lock.stamp: requirements.lock
 	@$(check-python)
-	@echo "Making $(VENV) from requirements.lock with $(PYTHON): a few minutes"
-	@"$(PYTHON)" -m venv --clear $(VENV)
-	@$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.lock
-	@touch $@
+	@cmp -s $< $@ || { echo "Making $(VENV) from requirements.lock with $(PYTHON): a few minutes" && \
+		"$(PYTHON)" -m venv --clear $(VENV) && \
+		$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.lock; }
+	@cp $< $@
 
 # Others have an environment of their own: torch and another OpenCV are no dependencies of epiprior.
-$(PEERS): $(VENV)/lock.stamp benchmarks/real/peers/requirements.txt benchmarks/real/peers/weights.txt
+$(PEERS): benchmarks/real/peers/requirements.txt benchmarks/real/peers/weights.txt | $(VENV)/lock.stamp
 	@echo "Making $(VENV)/peers, with torch, 5.6 GB: a few minutes"
 	@"$(PYTHON)" -m venv --clear $(VENV)/peers
 	@$(VENV)/peers/bin/python -m pip install --quiet --no-compile -r benchmarks/real/peers/requirements.txt && \

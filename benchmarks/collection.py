@@ -1,6 +1,6 @@
 """A large collection: seconds per stage, memory, what retrieval finds, and whether workers change anything.
 
-    python benchmarks/collection.py data/scenes/*/facades-easy [--images 1000] [--compare 100] [--out FOLDER]
+    python benchmarks/collection.py data/scenes/*/facades-easy [--images 1000] [--width 640] [--compare 100]
 
 The photographs of pair sets are turned, cropped and relit until there are enough, so that it is known which show one
 scene. The collection is matched (`similar:20`, cascade) and a database is written. Then the first of its images are
@@ -26,12 +26,11 @@ from epiprior.collection.database import CameraSettings, infer_cameras, write_da
 from epiprior.collection.run import MatchedCollection, match_collection
 from epiprior_lab.pairsets import read_pair_set
 
-WIDTH = 640
 CONFIDENT = 0.5
 KILLED_AFTER = 0.3  # of the pairs
 
 
-def make_images(roots: Sequence[Path], count: int, folder: Path) -> dict[str, str]:
+def make_images(roots: Sequence[Path], count: int, width: int, folder: Path) -> dict[str, str]:
     """Write `count` JPEG files, as many of every photograph, and return which scene each shows."""
     pairs = [pair for root in roots for pair in read_pair_set(root).pairs]
     photographs = [
@@ -44,12 +43,13 @@ def make_images(roots: Sequence[Path], count: int, folder: Path) -> dict[str, st
         rng = np.random.default_rng([number, 20])
         name = f"{scene}_{side}_{number // len(photographs):02d}.jpg"
         pixels = cv2.imread(str(image))
-        height, width = pixels.shape[:2]
+        size = width, width * pixels.shape[0] // pixels.shape[1]
+        centre = pixels.shape[1] / 2, pixels.shape[0] / 2
         # A similarity that keeps at least four fifths of the picture, brightness and contrast.
         turn = rng.uniform(-20, 20) + 90 * rng.integers(0, 4) * (number >= len(photographs))
-        M = cv2.getRotationMatrix2D((width / 2, height / 2), turn, WIDTH / width * rng.uniform(1.0, 1.25))
-        M[:, 2] += np.array([WIDTH, WIDTH * height / width]) / 2 - (width / 2, height / 2) + rng.uniform(-30, 30, 2)
-        changed = cv2.warpAffine(pixels, M, (WIDTH, WIDTH * height // width), flags=cv2.INTER_AREA)
+        M = cv2.getRotationMatrix2D(centre, turn, width / pixels.shape[1] * rng.uniform(1.0, 1.25))
+        M[:, 2] += np.array(size) / 2 - centre + width / 640 * rng.uniform(-30, 30, 2)
+        changed = cv2.warpAffine(pixels, M, size, flags=cv2.INTER_AREA)
         changed = 255 * (changed / 255) ** rng.uniform(0.7, 1.4) * rng.uniform(0.75, 1.0)
         cv2.imwrite(str(folder / name), np.rint(changed).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 92])
         scenes[name] = scene
@@ -151,6 +151,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="+", type=Path, help="folders with a pairs.csv")
     parser.add_argument("--images", type=int, default=1000)
+    parser.add_argument("--width", type=int, default=640, help="of every image, pixels")
     parser.add_argument("--compare", type=int, default=100, help="so many of them by one worker, two and a cluster")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, help="a new folder that is kept; default: a temporary one")
@@ -161,7 +162,7 @@ def main() -> None:
 
 def run(asked: argparse.Namespace, out: Path) -> None:
     """Make the images below `out`, match them, compare."""
-    scenes = make_images(asked.sets, asked.images, out / "images")
+    scenes = make_images(asked.sets, asked.images, asked.width, out / "images")
     if asked.images > asked.compare:
         clock = Clock()
         tell(match(out / "images", out / "all", clock, workers=asked.workers), scenes, clock)

@@ -1,6 +1,6 @@
 """What a collection adds to a pair, on scenes with known truth: matches along epipolar lines, and focal lengths.
 
-    python benchmarks/relied_on.py [data/scenes/validation/FAMILY ...]
+    python benchmarks/relied_on.py [data/scenes/validation/FAMILY ...]    # rendered families
 
 Matches the pairs of every set as `epiprior colmap` does. Prints how many of the matches of simple F are right, those
 that F was estimated from and those gathered along its epipolar lines; and how many right and wrong F fall below each
@@ -19,6 +19,7 @@ import numpy as np
 from epiprior.collection.run import MatchedCollection, match_collection
 from epiprior.collection.store import MatchedPair
 from epiprior.collection.verify import MIN_CALIBRATED, under_cameras
+from epiprior.presets import DEFAULT
 from epiprior_lab.evaluation.truth import TruthSettings, pair_truth
 from epiprior_lab.labels.ground_truth import errors_px, label_matches
 from epiprior_lab.pairsets import Pair, read_pair_set
@@ -59,7 +60,8 @@ def measure(pair: Pair, matched: MatchedCollection, places: tuple[int, int], one
     xy = f1.xy[rows1].astype(float), f2.xy[rows2].astype(float)
     right = label_matches(pair, *xy, f1.scale[rows1], f2.scale[rows2], settings=truth)
     own = len(right) - one.guided
-    share = under_cameras(one, (camera_of(pair.camera1), camera_of(pair.camera2)), (f1.xy, f2.xy)).calibrated
+    cameras = camera_of(pair.camera1), camera_of(pair.camera2)
+    share = under_cameras(one, cameras, (f1.xy, f2.xy), max_image_size=DEFAULT.features.max_image_size).calibrated
     assert one.F is not None
     assert share is not None
     return Found(
@@ -104,7 +106,7 @@ def main() -> None:
     own, own_right, more, more_right = (
         sum(getattr(f, name) for f in simple) for name in ("own", "own_right", "guided", "guided_right")
     )
-    print(f"simple and right F: {len(simple)}; of {own} matches {own_right / own:.0%} are right,")
+    print(f"simple and right F: {len(simple)}; of {own} matches {own_right / max(own, 1):.0%} are right,")
     print(f"  of {more} more along epipolar lines {more_right / max(more, 1):.0%}")
     print("share kept by an essential matrix: right F below it, wrong F below it")
     for limit in np.arange(0.5, 1.0, 0.05):

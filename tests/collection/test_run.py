@@ -16,11 +16,14 @@ from collections_fakes import MATCHES, FakeEstimation, in_this_process, rows_of,
 from epiprior import EstimatorError, OutputError, SettingsError, Status, match_collection
 from epiprior.collection.features import make_features, read_features
 from epiprior.collection.images import find_images
+from epiprior.collection.store import MatchedPair, PairStore
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.presets import DEFAULT
 from pictures import relief_pair, rotated, save
+
+pycolmap = pytest.importorskip("pycolmap")
 
 
 def test_matches_are_rows_of_keypoints_one_to_one(tmp_path, monkeypatch):
@@ -69,6 +72,48 @@ def test_what_is_ready_is_not_made_again(tmp_path, monkeypatch):
     np.testing.assert_array_equal(list(found)[1].F, before[1].F)
     match_collection(tmp_path / "set", work=tmp_path / "work", seed=1)
     assert len(again.calls) == 4
+
+
+def test_pairs_are_read_as_they_were_kept_and_those_of_another_version_are_forgotten(tmp_path):
+    with contextlib.closing(sqlite3.connect(tmp_path / "pairs.db", isolation_level=None)) as old:
+        old.execute("CREATE TABLE pairs (key, image1, PRIMARY KEY (key)) WITHOUT ROWID")
+        old.execute("INSERT INTO pairs VALUES (?, 'a')", (b"k",))
+    M, rows = np.arange(9.0).reshape(3, 3), np.array([[1, 2], [3, 4]])
+    known = {
+        "geometry": "CALIBRATED",
+        "confidence": 0.9,
+        "guided": 1,
+        "calibrated": 0.95,
+        "input": "snn",
+        "seconds": 0.5,
+    }
+    pair = MatchedPair(image1="a", image2="b", status="ok", F=M, E=2 * M, matches=rows, **known)
+    with contextlib.closing(PairStore(tmp_path / "pairs.db")) as store:
+        assert b"k" not in store
+        store.write(b"k", pair)
+    with contextlib.closing(PairStore(tmp_path / "pairs.db")) as store:
+        for name, value in vars(store.read(b"k")).items():
+            np.testing.assert_array_equal(value, getattr(pair, name))
+
+
+def test_other_cameras_are_asked_anew_but_nothing_is_matched(tmp_path, monkeypatch):
+    estimation = in_this_process(monkeypatch)
+    small_images(tmp_path / "set")
+    how = {"work": tmp_path / "work", "pairs": "sequential:1"}
+    assert [pair.calibrated for pair in match_collection(tmp_path / "set", **how)] == [None, None]
+    camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 300, 200, 150)
+    camera.has_prior_focal_length = True
+    known = match_collection(tmp_path / "set", **how, cameras={"a.png": camera, "b.png": camera})
+    first, second = known
+    assert first.calibrated is not None
+    assert second.calibrated is None
+    assert len(estimation.calls) == 2
+    other = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 900, 200, 150)
+    other.has_prior_focal_length = True
+    keys = {known.key((0, 1)), known.plain.key((0, 1))}
+    keys.add(match_collection(tmp_path / "set", **how, cameras={"a.png": camera, "b.png": other}).key((0, 1)))
+    assert len(keys) == 3
+    assert len(estimation.calls) == 2
 
 
 def test_pairs_without_geometry_have_no_matches(tmp_path, monkeypatch):

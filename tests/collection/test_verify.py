@@ -1,5 +1,7 @@
 """Pairs that are relied on: what known focal lengths confirm, what they contradict, and when they are not believed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,10 +15,27 @@ PAIR = make_pair(inliers=150, outliers=0, noise_px=0.3)
 XY = PAIR.matches.x1, PAIR.matches.x2
 
 
-def camera(focal):
-    made = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", focal, WIDTH, HEIGHT)
-    made.params = [focal, WIDTH / 2 + 0.5, HEIGHT / 2 + 0.5]
+def camera(focal, scale=1):
+    made = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", scale * focal, scale * WIDTH, scale * HEIGHT)
+    made.params = [scale * focal, scale * WIDTH / 2 + 0.5, scale * HEIGHT / 2 + 0.5]
     return made
+
+
+class Collection(list):
+    """Pairs under cameras; without, `calibrated` is not known."""
+
+    @property
+    def plain(self):
+        return Collection(replace(pair, calibrated=None, geometry=pair.geometry and "UNCALIBRATED") for pair in self)
+
+
+def judged(pairs, told):
+    return [why for _, why in judge_pairs(Collection(pairs), 0.5, told.append)]
+
+
+def under(pair, *focal_lengths, scale=1, keypoints=XY):
+    cameras = tuple(camera(focal, scale) for focal in focal_lengths)
+    return under_cameras(pair, cameras, tuple(scale * xy for xy in keypoints), max_image_size=WIDTH)
 
 
 def matched(**changes):
@@ -28,7 +47,7 @@ def matched(**changes):
 def test_known_focal_lengths_confirm_a_right_pair_and_sort_out_what_was_gathered():
     wrong = np.column_stack([np.arange(150), np.roll(np.arange(150), 40)])[:30]
     pair = matched(matches=np.vstack([matched().matches, wrong]), guided=30)
-    found = under_cameras(pair, (camera(FOCAL), camera(FOCAL)), XY)
+    found = under(pair, FOCAL, FOCAL)
     assert found.geometry == "CALIBRATED"
     assert found.calibrated > 0.95
     assert found.guided < 15
@@ -38,13 +57,21 @@ def test_known_focal_lengths_confirm_a_right_pair_and_sort_out_what_was_gathered
 
 
 def test_a_pair_that_contradicts_the_focal_lengths_stays_as_it_is_and_is_told():
-    found = under_cameras(matched(), (camera(4 * FOCAL), camera(FOCAL / 4)), XY)
+    found = under(matched(), 4 * FOCAL, FOCAL / 4)
     assert found.geometry == "UNCALIBRATED"
     assert found.calibrated < MIN_CALIBRATED
     assert found.E is None
     np.testing.assert_array_equal(found.matches, matched().matches)
     flat = matched(geometry="PLANAR", F=None)
-    assert under_cameras(flat, (camera(FOCAL), camera(FOCAL)), XY) is flat
+    assert under(flat, FOCAL, FOCAL) is flat
+
+
+def test_thresholds_are_of_working_pixels():
+    noisy = make_pair(inliers=150, outliers=0, noise_px=0.9)
+    xy = noisy.matches.x1, noisy.matches.x2
+    small, large = (under(matched(F=None), FOCAL, FOCAL, scale=scale, keypoints=xy) for scale in (1, 6))
+    assert small.calibrated == pytest.approx(large.calibrated, abs=0.01)
+    assert small.calibrated > 0.95
 
 
 def test_pairs_are_left_out_by_confidence_and_focal_lengths_unless_most_contradict_these():
@@ -54,11 +81,14 @@ def test_pairs_are_left_out_by_confidence_and_focal_lengths_unless_most_contradi
         matched(status="no_model", geometry="", matches=np.empty((0, 2))),
     ]
     told = []
-    whys = [why for _, why in judge_pairs([right, against, unknown, right, *others], 0.5, told.append)]
+    whys = judged([right, against, unknown, right, *others], told)
     assert whys == ["", CONTRADICTS, "", "", "low confidence", "no_model"]
-    assert told == ["1 of 3 pairs contradict the focal lengths of their cameras, and were left out"]
-    assert [why for _, why in judge_pairs([right, against, against], 0.5, told.append)] == ["", "", ""]
+    assert told == ["1 of 3 pairs contradict the focal lengths of their cameras: left out"]
+    assert judged([right, against, against], told) == ["", "", ""]
     assert "2 of 3" in told[1]
-    assert "were kept" in told[1]
-    assert [why for _, why in judge_pairs([right, unknown], 0.5, told.append)] == ["", ""]
+    assert "not used" in told[1]
+    calibrated = replace(right, geometry="CALIBRATED")
+    found = judge_pairs(Collection([calibrated, against, against]), 0.5)
+    assert [pair.geometry for pair, _ in found] == ["UNCALIBRATED"] * 3
+    assert judged([right, unknown], told) == ["", ""]
     assert len(told) == 2

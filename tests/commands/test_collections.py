@@ -64,6 +64,9 @@ def test_known_focal_lengths_decide_with(tmp_path):
         for camera in database.read_all_cameras():
             camera.has_prior_focal_length = True
             database.update_camera(camera)
+    late = run("colmap", folder, "--database", tmp_path / "filled.db", known[-1])
+    assert late.exit_code == 2
+    assert "too late" in late.stderr
     assert run("colmap", folder, "--database", tmp_path / "filled.db", *known[:2]).exit_code == 0
     with pycolmap.Database.open(tmp_path / "filled.db") as database:
         assert database.read_two_view_geometry(1, 2).config == geometry.config
@@ -73,7 +76,7 @@ def test_a_mapper_that_crashes_is_asked_again(tmp_path, monkeypatch, caplog):
     seeds = []
 
     def crash_once(pool, function, jobs):
-        seeds.extend(number for *_, number in (arguments for _, arguments in jobs))
+        seeds.append(function.keywords["seed"])
         if len(seeds) < 2:
             raise WorkerLostError("as the test wants")
         return [(0, [])]
@@ -81,10 +84,10 @@ def test_a_mapper_that_crashes_is_asked_again(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr("epiprior.collection.model.run_tasks", crash_once)
     assert map_beside(tmp_path / "a.db", tmp_path, tmp_path / "sparse", 5) == []
     assert seeds == [5, 6]
-    assert "crashed with seed 5" in caplog.text
+    assert "with seed 5" in caplog.text
     monkeypatch.setattr("epiprior.collection.model._TRIES", 1)
     seeds.clear()
-    with pytest.raises(WorkerLostError):
+    with pytest.raises(WorkerLostError, match=r"a\.db is complete"):
         map_beside(tmp_path / "a.db", tmp_path, tmp_path / "sparse", 5)
 
 

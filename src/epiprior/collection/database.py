@@ -12,7 +12,7 @@ from typing import Any, Literal
 from epiprior.collection.images import ImageSet, known_images
 from epiprior.collection.run import MatchedCollection
 from epiprior.collection.verify import judge_pairs
-from epiprior.errors import FeatureError, ImageError, SettingsError
+from epiprior.errors import FeatureError, ImageError, SettingsError, require
 from epiprior.io.colmap import add_camera, add_image, add_pair, check_colmap_output, writable
 from epiprior.io.features import read_colmap_features
 from epiprior.io.output import replacing
@@ -131,8 +131,7 @@ def read_filled(path: Path, folder: Path | None, *, roots: int = 1) -> FilledDat
     Without photographs the descriptors of the features serve for all. FeatureError if it is no such database, or an
     image has no features; ImageError if a photograph is missing.
     """
-    import pycolmap
-
+    pycolmap = require("pycolmap", f"{path}: a COLMAP database", FeatureError)
     try:
         with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as opened:
             names = dict(opened.execute("SELECT image_id, name FROM images ORDER BY name"))
@@ -146,10 +145,11 @@ def read_filled(path: Path, folder: Path | None, *, roots: int = 1) -> FilledDat
         raise FeatureError(f"{path}: exists already, but {what}: run COLMAP's feature extraction, or name a new file")
     pairs = (divmod(number, _MOST_IMAGES) for number in numbers)
     verified = frozenset((min(names[a], names[b]), max(names[a], names[b])) for a, b in pairs)
-    images, features = (
-        known_images(list(names.values()), folder, path),
-        partial(read_colmap_features, path, roots=roots),
-    )
-    with pycolmap.Database.open(path) as database:
-        cameras = {image.name: database.read_camera(image.camera_id) for image in database.read_all_images()}
+    images = known_images(list(names.values()), folder, path)
+    try:
+        with pycolmap.Database.open(path) as opened:
+            cameras = {image.name: opened.read_camera(image.camera_id) for image in opened.read_all_images()}
+    except RuntimeError as error:
+        raise FeatureError(f"{path}: pycolmap cannot open it, for which it must be writable: {error}") from error
+    features = partial(read_colmap_features, path, roots=roots)
     return FilledDatabase(images=images, features=features, verified=verified, cameras=cameras)

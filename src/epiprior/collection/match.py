@@ -3,14 +3,14 @@
 import functools
 import hashlib
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from epiprior.collection.features import first_rows, read_features
+from epiprior.collection.features import StoredFeatures, first_rows, read_features
 from epiprior.collection.images import CollectionImage
 from epiprior.collection.store import MatchedPair
 from epiprior.collection.verify import under_cameras
@@ -52,13 +52,26 @@ def match_pair(
     files: tuple[Path, Path],
     how: MatchSettings,
     cameras: tuple[Any, Any] | None = None,
-) -> MatchedPair:
-    """Match two images whose features are in files, by `cameras` of pycolmap whose focal lengths are known: a task.
+    matched: MatchedPair | None = None,
+) -> tuple[MatchedPair, MatchedPair]:
+    """Match two images whose features are in files: a task.
 
-    To the inliers of an F that comes from simple matches those along its epipolar lines are added; ranking has them.
+    Returns the pair without and under its `cameras`, of pycolmap, whose focal lengths are known; twice the same where
+    they are not. The first may be `matched` already.
     """
-    start = time.perf_counter()
     stored = _read(files[0]), _read(files[1])
+    matched = matched or _match(images, stored, how)
+    if cameras is None:
+        return matched, matched
+    xy, limit = (stored[0].features.xy, stored[1].features.xy), how.settings.features.max_image_size
+    return matched, under_cameras(matched, cameras, xy, max_image_size=limit, seed=how.seed)
+
+
+def _match(
+    images: tuple[CollectionImage, CollectionImage], stored: tuple[StoredFeatures, StoredFeatures], how: MatchSettings
+) -> MatchedPair:
+    """Match two images; an F that comes from simple matches gets those along its lines, which ranked ones have."""
+    start = time.perf_counter()
     view1, view2 = (one.view(image, how.settings.features) for one, image in zip(stored, images, strict=True))
     first, second = (one.features for one in stored)
     found = estimate_fundamental(view1, view2, features1=first, features2=second, **vars(how))
@@ -73,7 +86,7 @@ def match_pair(
         more = guided_matches(first, second, found.F, threshold_px=_GUIDED_PX, factors=factors)
         rows = np.concatenate([rows, np.column_stack([first_rows(first)[more[:, 0]], first_rows(second)[more[:, 1]]])])
         rows = rows[one_to_one_mask(*rows.T)]
-    pair = MatchedPair(
+    return MatchedPair(
         image1=images[0].name,
         image2=images[1].name,
         status=found.status.value,
@@ -85,10 +98,8 @@ def match_pair(
         matches=rows,
         guided=len(rows) - own,
         input=found.input,
+        seconds=time.perf_counter() - start,
     )
-    if cameras is not None:
-        pair = under_cameras(pair, cameras, (first.xy, second.xy), how.seed)
-    return replace(pair, seconds=time.perf_counter() - start)
 
 
 def _rows_of(features: Features, xy: FloatArray) -> IntArray:

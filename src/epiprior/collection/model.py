@@ -5,6 +5,7 @@ import shutil
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,24 +38,17 @@ def map_beside(database: Path, image_root: Path, out: Path, seed: int) -> list[M
     """Do what `map_database` does in a process of its own, again with the next seed where the mapper crashes.
 
     pycolmap 4.2 does so once in a while where photographs share a camera of unknown focal length. WorkerLostError if it
-    does each time.
+    does three times.
     """
-    for number in range(seed, seed + _TRIES - 1):
+    for number in range(seed, seed + _TRIES):
         try:
-            return _in_a_worker(database, image_root, out, number)
+            with open_pool(1) as pool:
+                mapping = partial(map_database, seed=number)
+                (models,) = (found for _, found in run_tasks(pool, mapping, [(0, (database, image_root, out))]))
+            return list(models)
         except WorkerLostError:
-            logger.warning("COLMAP's mapper crashed with seed %s: again with the next", number)
-    return _in_a_worker(database, image_root, out, seed + _TRIES - 1)
-
-
-def _in_a_worker(*arguments: Any) -> list[Model]:
-    with open_pool(1) as pool:
-        (models,) = (found for _, found in run_tasks(pool, _map, [(0, arguments)]))
-    return list(models)
-
-
-def _map(database: Path, image_root: Path, out: Path, seed: int) -> list[Model]:
-    return map_database(database, image_root, out, seed=seed)
+            logger.warning("COLMAP's mapper crashed, or was killed, with seed %s", number)
+    raise WorkerLostError(f"COLMAP's mapper crashed {_TRIES} times; {database} is complete: map it in another way")
 
 
 def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0, refine: bool = True) -> list[Model]:
@@ -68,7 +62,7 @@ def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0, 
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads, options.random_seed, options.ignore_watermarks = 1, seed, True
+    options.num_threads, options.random_seed, options.ignore_watermarks = 1, seed % 2**31, True
     options.ba_refine_focal_length = options.ba_refine_extra_params = refine
     with quiet():
         found = pycolmap.incremental_mapping(database, image_root, out, options)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from epiprior.collection.model import Model
 from epiprior.collection.run import MatchedCollection
-from epiprior.collection.verify import judge_pairs
+from epiprior.collection.verify import CONTRADICTS, judge_pairs
 from epiprior.io.output import replacing
 from epiprior.types import FloatArray
 
@@ -54,19 +54,24 @@ def write_report(path: Path, matched: MatchedCollection, models: Sequence[Model]
     place = {name: index for index, name in enumerate(names)}
     confidence, inliers = np.full((len(names), len(names)), np.nan), np.zeros((len(names), len(names)))
     outcomes: Counter[str] = Counter()
-    for pair, why_not in judge_pairs(matched, least):
+    against: Counter[str] = Counter()
+    lines: list[str] = []
+    for pair, why_not in judge_pairs(matched, least, lines.append):
         at = place[pair.image1], place[pair.image2]
         confidence[at], inliers[at] = pair.confidence, 0 if why_not else len(pair.matches)
         outcomes[f"not written: {why_not}" if why_not else pair.geometry] += 1
+        against.update((pair.image1, pair.image2) if why_not == CONTRADICTS else ())
     registered = {name: (number, seen) for number, model in enumerate(models) for name, seen in model.seen.items()}
     summary = f"{len(registered)} of {len(names)} images are registered, in {len(models)} models. "
-    summary += f"{int((inliers > 0).sum())} of {len(matched)} pairs have a geometry."
+    summary += f"{int((inliers > 0).sum())} of {len(matched)} pairs have a geometry. " + "".join(lines)
     text = _PAGE.substitute(
         title=escape(matched.images.root.name),
         side=_SIDE,
         summary=summary,
         views="".join(_views(number, model) for number, model in enumerate(models)) or "<p>There is no model.</p>",
-        images=_table(("image", "features", "pairs", "model", "points"), _image_rows(matched, inliers, registered), 1),
+        images=_table(
+            ("image", "features", "pairs", "model", "points"), _image_rows(matched, inliers, against, registered), 1
+        ),
         matrix=_inline(_matrix(confidence, inliers)),
         outcomes=_table(("pairs", "how many"), ((kind, str(count)) for kind, count in outcomes.most_common()), 1),
         tracks="".join(_tracks(number, model) for number, model in enumerate(models)) or "<p>None.</p>",
@@ -77,7 +82,7 @@ def write_report(path: Path, matched: MatchedCollection, models: Sequence[Model]
 
 
 def _image_rows(
-    matched: MatchedCollection, inliers: FloatArray, registered: dict[str, tuple[int, int]]
+    matched: MatchedCollection, inliers: FloatArray, against: Counter[str], registered: dict[str, tuple[int, int]]
 ) -> Iterable[tuple[str, ...]]:
     """Yield a row per image; where it is not registered, the reason."""
     both = inliers + inliers.T
@@ -85,6 +90,7 @@ def _image_rows(
         count = int((both[index] > 0).sum())
         number, seen = registered.get(image.name, (None, 0))
         why = f"the mapper did not place it, best pair {both[index].max():.0f}" if count else "no pair has a geometry"
+        why += f", {against[image.name]} contradict the focal lengths" if against[image.name] else ""
         model = f"no: {why}" if number is None else str(number)
         yield image.name, str(len(matched.features(index))), str(count), model, str(seen) if seen else ""
 

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,11 @@ class MatchedCollection:
     def key(self, pair: Pair) -> bytes:
         """Return the key of a pair in the store."""
         return self.how.pair_key((self.feature_keys[pair[0]], self.feature_keys[pair[1]]), self.cameras_of(pair))
+
+    @property
+    def plain(self) -> "MatchedCollection":
+        """The same without cameras: all pairs as they were found."""
+        return replace(self, cameras={})
 
     def cameras_of(self, pair: Pair) -> tuple[Any, Any] | None:
         """Return the cameras of a pair where the focal lengths of both are known."""
@@ -195,7 +200,7 @@ def _feature_file(work: Path, key: str) -> Path:
 def _match_pairs(
     pool: Pool, matched: MatchedCollection, on_pair: OnPair | None, on_progress: OnProgress | None
 ) -> None:
-    images, store = matched.images.images, matched.store
+    images, store, plain = matched.images.images, matched.store, matched.plain
     count = _counting(on_progress, "pairs", len(matched))
 
     def ready(pair: MatchedPair) -> None:
@@ -203,16 +208,16 @@ def _match_pairs(
             on_pair(pair)
         count()
 
-    def jobs() -> Iterator[tuple[bytes, tuple[Any, ...]]]:
+    def jobs() -> Iterator[tuple[Pair, tuple[Any, ...]]]:
         for pair in matched.pairs:
-            key = matched.key(pair)
-            if key in store:
-                ready(store.read(key))
-            else:
-                a, b = pair
-                files, cameras = (matched.file(a), matched.file(b)), matched.cameras_of(pair)
-                yield key, ((images[a], images[b]), files, matched.how, cameras)
+            if matched.key(pair) in store:
+                ready(store.read(matched.key(pair)))
+                continue
+            both = [(images[place], matched.file(place)) for place in pair]
+            known = store.read(plain.key(pair)) if plain.key(pair) in store else None
+            yield pair, (*zip(*both, strict=True), matched.how, matched.cameras_of(pair), known)
 
-    for key, pair in run_tasks(pool, match_pair, jobs()):
-        store.write(key, pair)
-        ready(pair)
+    for pair, (without, found) in run_tasks(pool, match_pair, jobs()):
+        store.write(plain.key(pair), without)
+        store.write(matched.key(pair), found)
+        ready(found)

@@ -59,6 +59,9 @@ class PairStore:
         with self._told():
             self._opened = sqlite3.connect(path, isolation_level=None)
             self._opened.execute("PRAGMA synchronous = OFF")  # a kill leaves whole rows; only a power cut may not
+            kept = ", ".join(row[1] for row in self._opened.execute("PRAGMA table_info(pairs)"))
+            if kept and kept != _COLUMNS:  # of another version, whose keys are others too
+                self._opened.execute("DROP TABLE pairs")
             self._opened.execute(f"CREATE TABLE IF NOT EXISTS pairs ({_COLUMNS}, PRIMARY KEY (key)) WITHOUT ROWID")
 
     def __contains__(self, key: bytes) -> bool:

@@ -30,7 +30,9 @@ Work = Annotated[Path | None, typer.Option(help="Folder that keeps what is ready
 MinConfidence = Annotated[float, typer.Option(min=0, max=1, help="Geometries below it are not written.")]
 CameraMode = Annotated[Literal["single", "per-folder", "per-image"], typer.Option(help="Which images share a camera.")]
 CameraModel = Annotated[str, typer.Option(help="COLMAP's name of the camera model.")]
-CameraParams = Annotated[str, typer.Option(help="Its parameters, with commas. Default: inferred as by COLMAP.")]
+CameraParams = Annotated[
+    str, typer.Option(help="Its parameters, with commas, taken as known. Default: inferred as by COLMAP.")
+]
 MaskPath = Annotated[Path | None, typer.Option(help="Folder of masks NAME.png, black where nothing is to be found.")]
 Roots = Annotated[int, typer.Option(min=0, help="How many times the root was taken of the stored descriptors.")]
 
@@ -139,6 +141,8 @@ def colmap(
             raise OutputError(f"{database}: exists already; to add to it, give the folder of its images, or none")
         if mask_path is not None:
             raise typer.BadParameter(f"{database} has features already: --mask-path comes too late")
+        if (camera_mode, camera_model, camera_params) != ("per-image", "SIMPLE_RADIAL", ""):
+            raise typer.BadParameter(f"{database} has cameras already: --camera-mode, -model and -params come too late")
         filled = colmap_database.read_filled(database, images[0] if images else None, roots=roots)
         matched = _match(filled.images, given=filled.features, without=filled.verified, cameras=filled.cameras, **asked)
         count = colmap_database.extend_database(database, matched, min_confidence)

@@ -80,7 +80,7 @@ def ready_matches(sets: Sequence[MatchSet], hand_over: HandOver, pixel_factors: 
 
 
 def estimate_from_matches(
-    sets: Sequence[MatchSet],
+    sets: Sequence[MatchSet] | ReadyMatches,
     *,
     estimator: str,
     seed: int = 0,
@@ -88,15 +88,14 @@ def estimate_from_matches(
     settings: EstimatorSettings | None = None,
     pixel_factors: Factors = (1.0, 1.0),
     min_confidence: float | None = None,
-    ready: ReadyMatches | None = None,
 ) -> FundamentalEstimate:
     """Run an estimator on each of the sets, one per roll hypothesis, and return the best supported F.
 
     Each set is sorted best first; standard matches are a single set. Thresholds are meant in working pixels:
     `pixel_factors` are given pixels per working pixel in both images. `settings` replaces the estimator's own with the
-    threshold of `hand_over`, and `min_confidence` the confidence from which on the status is ``ok``. `ready` saves time
-    where these sets, hand-over and factors were made ready before; its seconds count all the same. `iterations` of the
-    result adds up over the sets. Raises what `epiprior.estimators.fit` and `load_confidence` raise, and SettingsError
+    threshold of `hand_over`, and `min_confidence` the confidence from which on the status is ``ok``. Sets that
+    `ready_matches` has made ready with this hand-over save time; their factors hold. `iterations` of the result adds up
+    over the sets. Raises what `epiprior.estimators.fit` and `load_confidence` raise, and SettingsError
     without any set.
 
     Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F decides,
@@ -104,9 +103,9 @@ def estimate_from_matches(
     (`epiprior.estimators.evidence`). A thousand improbable matches then weigh less than fifty good ones.
     """
     options = settings or EstimatorSettings(threshold_px=hand_over.threshold_px)
-    ready = ready or ready_matches(sets, hand_over, pixel_factors)
+    ready = sets if isinstance(sets, ReadyMatches) else ready_matches(sets, hand_over, pixel_factors)
     start = time.perf_counter() - ready.seconds
-    tried, best, factors, turned = _try_all(ready, estimator, seed, hand_over, options)
+    tried, best = _try_all(ready, estimator, seed, hand_over, options)
     px, collected = options.threshold_px, best.collected
     H, kind = _homography(best, px)
     if best.F is None:
@@ -123,14 +122,14 @@ def estimate_from_matches(
     running = sum(hypothesis.found.seconds for hypothesis in tried)
     estimate = FundamentalEstimate(
         status=verdict.status,
-        F=None if best.F is None else _to_given_pixels(best.F, factors),
-        x1=collected.x1 * factors[0],
-        x2=collected.x2 * factors[1],
+        F=None if best.F is None else _to_given_pixels(best.F, ready.factors),
+        x1=collected.x1 * ready.factors[0],
+        x2=collected.x2 * ready.factors[1],
         inliers=inliers,
         support=int(inliers.sum()),
         confidence=verdict.confidence,
         geometry=verdict.geometry,
-        H=_homography_in_given_pixels(H, factors) if flat and H is not None else None,
+        H=_homography_in_given_pixels(H, ready.factors) if flat and H is not None else None,
         iterations=sum(n for n in drawn if n is not None) if any(n is not None for n in drawn) else None,
         estimator=estimator,
         version=best.found.version,
@@ -138,45 +137,43 @@ def estimate_from_matches(
         message=verdict.message,
         seconds={"estimator": running, "support": time.perf_counter() - start - running},
     )
-    return estimate.swapped() if turned else estimate
+    return estimate.swapped() if ready.turned else estimate
 
 
 def describe_from_matches(
-    sets: Sequence[MatchSet],
+    sets: Sequence[MatchSet] | ReadyMatches,
     *,
     estimator: str,
     seed: int = 0,
     hand_over: HandOver,
     pixel_factors: Factors = (1.0, 1.0),
-    ready: ReadyMatches | None = None,
 ) -> Described:
     """Return F of `estimate_from_matches` for the same arguments and its facts, without what is learnt from them."""
     options = EstimatorSettings(threshold_px=hand_over.threshold_px)
-    ready = ready or ready_matches(sets, hand_over, pixel_factors)
-    tried, best, factors, turned = _try_all(ready, estimator, seed, hand_over, options)
+    ready = sets if isinstance(sets, ReadyMatches) else ready_matches(sets, hand_over, pixel_factors)
+    tried, best = _try_all(ready, estimator, seed, hand_over, options)
     if best.F is None:
         return Described(F=None, facts=None)
     H, _ = _homography(best, options.threshold_px)
-    F = _to_given_pixels(best.F, factors)
+    F = _to_given_pixels(best.F, ready.factors)
     facts = _facts(tried, best, H, options.threshold_px)
-    return Described(F=F.T if turned and F is not None else F, facts=facts)
+    return Described(F=F.T if ready.turned and F is not None else F, facts=facts)
 
 
 def best_fundamental(
-    sets: Sequence[MatchSet],
+    sets: Sequence[MatchSet] | ReadyMatches,
     *,
     estimator: str,
     seed: int = 0,
     hand_over: HandOver,
     pixel_factors: Factors = (1.0, 1.0),
-    ready: ReadyMatches | None = None,
 ) -> FloatArray | None:
     """Return F of `estimate_from_matches` for the same arguments, in about half the time: nothing is verified."""
     options = EstimatorSettings(threshold_px=hand_over.threshold_px)
-    ready = ready or ready_matches(sets, hand_over, pixel_factors)
-    _, best, factors, turned = _try_all(ready, estimator, seed, hand_over, options)
-    F = None if best.F is None else _to_given_pixels(best.F, factors)
-    return F.T if turned and F is not None else F
+    ready = sets if isinstance(sets, ReadyMatches) else ready_matches(sets, hand_over, pixel_factors)
+    _, best = _try_all(ready, estimator, seed, hand_over, options)
+    F = None if best.F is None else _to_given_pixels(best.F, ready.factors)
+    return F.T if ready.turned and F is not None else F
 
 
 def _in_order(sets: Sequence[MatchSet], factors: Factors) -> tuple[Sequence[MatchSet], Factors, bool]:
@@ -196,10 +193,10 @@ def _in_order(sets: Sequence[MatchSet], factors: Factors) -> tuple[Sequence[Matc
 
 def _try_all(
     ready: ReadyMatches, estimator: str, seed: int, how: HandOver, options: EstimatorSettings
-) -> tuple[list[_Hypothesis], _Hypothesis, Factors, bool]:
-    """Return all hypotheses, the best, and the factors of the images in our order; last, whether it is the other."""
+) -> tuple[list[_Hypothesis], _Hypothesis]:
+    """Return all hypotheses, and the best."""
     tried = [_try(one, estimator, seed, how, options) for one in ready.hypotheses]
-    return tried, max(tried, key=lambda hypothesis: hypothesis.score), ready.factors, ready.turned
+    return tried, max(tried, key=lambda hypothesis: hypothesis.score)
 
 
 def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:

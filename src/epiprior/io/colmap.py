@@ -249,13 +249,16 @@ def add_pair(
 
 
 def estimate_essential(
-    x1: FloatArray, x2: FloatArray, cameras: tuple[Any, Any], seed: int = 0
+    x1: FloatArray, x2: FloatArray, cameras: tuple[Any, Any], *, factor: float = 1.0, seed: int = 0
 ) -> dict[str, Any] | None:
-    """Return pycolmap's essential matrix, and what comes with it, for matches (N, 2) of two of its cameras."""
+    """Return pycolmap's essential matrix, and what comes with it, for matches (N, 2) of two of its cameras.
+
+    The threshold is COLMAP's times a `factor`.
+    """
     import pycolmap
 
-    options = pycolmap.RANSACOptions()
-    options.max_error, options.random_seed = pycolmap.TwoViewGeometryOptions().ransac.max_error, seed
+    options = pycolmap.TwoViewGeometryOptions().ransac
+    options.max_error, options.random_seed = factor * options.max_error, seed % 2**31
     both = x1 + _HALF_PIXEL, x2 + _HALF_PIXEL
     found: dict[str, Any] | None = pycolmap.estimate_essential_matrix(*both, *cameras, options)
     return found

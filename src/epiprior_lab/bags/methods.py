@@ -64,7 +64,8 @@ def know_cameras(
     if matched is not None:
         cameras = {name: _true_camera(view) for name, view in named.items()}
         database.unlink()
-        write_database(database, _under(cameras, matched, seed), list(cameras.items()), min_confidence)
+        in_order = [(image.name, cameras[image.name]) for image in matched.images.images]
+        write_database(database, _under(cameras, matched, seed), in_order, min_confidence)
         return
     with pycolmap.Database.open(database) as opened:
         for image in opened.read_all_images():
@@ -90,7 +91,8 @@ def _under(cameras: Mapping[str, Any], matched: MatchedCollection, seed: int) ->
     for pair, found in zip(matched.pairs, matched, strict=True):
         if (both := known.cameras_of(pair)) is not None:
             xy = matched.features(pair[0]).xy, matched.features(pair[1]).xy
-            known.store.write(known.key(pair), under_cameras(found, both, xy, seed))
+            limit = matched.how.settings.features.max_image_size
+            known.store.write(known.key(pair), under_cameras(found, both, xy, max_image_size=limit, seed=seed))
     return known
 
 
@@ -128,7 +130,7 @@ def _by_epiprior(
     used = processor_seconds() - start
     for a, b in matched.pairs:
         both = (found.images[a], found.images[b]), (matched.file(a), matched.file(b))
-        store.write(matched.key((a, b)), match_pair(*both, how))
+        store.write(matched.key((a, b)), match_pair(*both, how)[0])
     cameras = infer_cameras(found, CameraSettings())
     by_name = {image.name: camera for image, (_, camera) in zip(found.images, cameras, strict=True)}
     write_database(database, _under(by_name, matched, seed), cameras, min_confidence)

@@ -40,9 +40,8 @@ def each_run(
     """
     different = seeds[:1] if getattr(find_estimator(estimator), "deterministic", False) else seeds
     for name, sets in matches.sets.items():
-        how = {"estimator": estimator, "hand_over": hand_overs[name], "pixel_factors": matches.pixel_factors}
-        how["ready"] = ready_matches(sets, hand_overs[name], matches.pixel_factors)
-        found = [run(sets, seed=child_seed(seed, pair_id), **how) for seed in different]
+        ready, how = ready_matches(sets, hand_overs[name], matches.pixel_factors), {"hand_over": hand_overs[name]}
+        found = [run(ready, estimator=estimator, seed=child_seed(seed, pair_id), **how) for seed in different]
         for k, seed in enumerate(seeds):
             yield name, seed, found[min(k, len(found) - 1)]
 
