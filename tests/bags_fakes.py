@@ -10,11 +10,8 @@ from epiprior_lab.pairsets import Camera, Pair
 from worlds import camera_pair
 
 COMMITTED = load_sfm_params(Path(__file__).parents[1] / PATH)
-PARAMS = replace(
-    COMMITTED,
-    bags=BagParams(seed=1, groups=("long",), per_scene={3: 2, 5: 1}, stranger_size=5),
-    report=replace(COMMITTED.report, seed=0, bootstrap_draws=200, sizes=(3, 5)),
-)
+BAGS = BagParams(seed=1, groups=("long",), per_scene={3: 2, 5: 1}, stranger_size=5)
+PARAMS = replace(COMMITTED, bags=BAGS, report=replace(COMMITTED.report, seed=0, bootstrap_draws=200, sizes=(3, 5)))
 K = np.array([[500.0, 0, 239.5], [0, 500.0, 149.5], [0, 0, 1]])
 
 

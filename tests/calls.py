@@ -1,4 +1,6 @@
-"""Functions that do their work and are watched."""
+"""Functions that do their work and are watched, and calls that have to be refused."""
+
+import pytest
 
 
 def note_calls(monkeypatch, owner, name):
@@ -11,3 +13,9 @@ def note_calls(monkeypatch, owner, name):
 
     monkeypatch.setattr(owner, name, noted)
     return calls
+
+
+def refused(error, message, call, *arguments, **options):
+    """Check that a call raises an error whose text matches a message."""
+    with pytest.raises(error, match=message):
+        call(*arguments, **options)

@@ -42,11 +42,8 @@ class FakeLibrary:
     def __init__(self, monkeypatch):
         self.calls = []
         self.estimate, self.sets = make_estimate(PAIR), (PAIR.matches,)
-        for name, answer in (
-            ("estimate_fundamental", lambda: self.estimate),
-            ("rank_matches", self._ranked),
-            ("standard_matches", lambda: PAIR.matches),
-        ):
+        answers = {"estimate_fundamental": lambda: self.estimate, "rank_matches": self._ranked}
+        for name, answer in (answers | {"standard_matches": lambda: PAIR.matches}).items():
             monkeypatch.setattr(epiprior, name, self._function(name, answer), raising=False)
 
     def _ranked(self):

@@ -2,17 +2,8 @@
 
 import numpy as np
 
-from epiprior_lab.evaluation.records import (
-    RANKINGS,
-    RANKS,
-    CalibrationRecord,
-    PairRecord,
-    RankingRecord,
-    RunRecord,
-    Tables,
-    TimingRecord,
-    to_frame,
-)
+from epiprior_lab.evaluation import records as kept_records
+from epiprior_lab.evaluation.records import RANKINGS, RANKS, PairRecord, RankingRecord, RunRecord, Tables
 
 SEEDS = (0, 1, 2)
 EASE = {
@@ -102,9 +93,8 @@ def _runs(rng, key, inputs, *, cameras, labelled):
         measures = {"error_px": error, "median_error_px": 0.8 * error, "distance": error / 100 if labelled else np.nan}
         measures |= {"confidence": 0.97, "rotation_deg": turned, "translation_deg": 2 * turned}
         measures = measures if found else dict.fromkeys(measures, np.nan)
-        yield RunRecord(
-            **key, estimator=estimator, input=name, seed=seed, status=status, geometry=kind, **counts, **measures
-        )
+        about = {"input": name, "seed": seed, "status": status, "geometry": kind}
+        yield RunRecord(**key, estimator=estimator, **about, **counts, **measures)
 
 
 def _calibration(rng, key, name):
@@ -112,9 +102,8 @@ def _calibration(rng, key, name):
         count, p = int(rng.integers(20, 40) * (1 + 100 * np.exp(-b))), (b + 0.5) / 20
         right = int(rng.binomial(count, min(1, 0.85 * p)))
         error = right * (1 - p) ** 2 + (count - right) * p**2
-        yield CalibrationRecord(
-            **key, input=name, bin=b, count=count, right=right, probability=count * p, squared_error=error
-        )
+        sums = {"count": count, "right": right, "probability": count * p, "squared_error": error}
+        yield kept_records.CalibrationRecord(**key, input=name, bin=b, **sums)
 
 
 def timing_table(tables, *, pairs_per_group=2, seed=0):
@@ -132,5 +121,6 @@ def timing_table(tables, *, pairs_per_group=2, seed=0):
             parts = {"features": 0.5, "matching": 0.1 + 0.6 * (ranked or again)}
             parts["estimator"] = float(rng.uniform(0.05, 0.5))
             seconds = {f"seconds_{part}": value for part, value in (parts | {"total": sum(parts.values())}).items()}
-            records.append(TimingRecord(**about, **seconds, input=name, preprocessed=ranked or again))
-    return to_frame(TimingRecord, records)
+            about |= {"input": name, "preprocessed": ranked or again}
+            records.append(kept_records.TimingRecord(**about, **seconds))
+    return kept_records.to_frame(kept_records.TimingRecord, records)

@@ -7,6 +7,7 @@ import onnxruntime
 import pytest
 
 import epiprior
+from calls import refused
 from epiprior.errors import SettingsError
 from epiprior.explain import explain_match
 from epiprior.geometry import sampson_distance
@@ -120,7 +121,5 @@ def test_rows_of_a_second_roll_hypothesis_follow_those_of_the_first_and_other_nu
     assert (found.set, found.row, found.ranked.roll_deg) == (1, 3, 0.0)
     assert found.probability == sets[1].probability[3]
     total = sum(map(len, sets))
-    with pytest.raises(SettingsError, match=f"match is {total}, but there are {total} matches"):
-        explain(LEFT, turned, total)
-    with pytest.raises(SettingsError, match="match is -1"):
-        explain_match("nothing.jpg", "nothing.jpg", -1)
+    refused(SettingsError, f"match is {total}, but there are {total} matches", explain, LEFT, turned, total)
+    refused(SettingsError, "match is -1", explain_match, "nothing.jpg", "nothing.jpg", -1)

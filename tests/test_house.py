@@ -88,11 +88,8 @@ def has_code(file):
 @pytest.mark.parametrize(("pipeline", "name", "stage"), STAGES)
 def test_a_stage_depends_on_all_code_that_it_imports(pipeline, name, stage):
     deps = [ROOT / dep for dep in stage["deps"]]
-    missing = [
-        file.relative_to(ROOT).as_posix()
-        for file in sorted(source_files(stage_file(stage)))
-        if has_code(file) and not any(file.is_relative_to(dep) for dep in deps)
-    ]
+    files = [file for file in sorted(source_files(stage_file(stage))) if has_code(file)]
+    missing = [file for file in files if not any(file.is_relative_to(dep) for dep in deps)]
     assert missing == [], f"stage {name} of {pipeline} imports these, but does not list their folders"
 
 

@@ -63,11 +63,8 @@ def test_each_room_imports_only_rooms_before_it_and_no_modules_in_a_circle():
             other = module.split(".")[0]
             if other in ROOMS:  # else a public name, of the package itself: commands use those
                 assert ROOMS.index(other) <= ROOMS.index(room), f"{path.name} of {room} imports {module}"
-    files = {
-        ".".join(path.relative_to(SOURCE / "epiprior").with_suffix("").parts): path
-        for path in (SOURCE / "epiprior").rglob("*.py")
-        if path.name != "__init__.py"
-    }
+    paths = [path for path in (SOURCE / "epiprior").rglob("*.py") if path.name != "__init__.py"]
+    files = {".".join(path.relative_to(SOURCE / "epiprior").with_suffix("").parts): path for path in paths}
     graph = {}
     for name, path in files.items():
         modules = [f"{module}." for module in imported_modules(path)]

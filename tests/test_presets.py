@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from calls import refused
 from epiprior.draw.pictures import DrawSettings
 from epiprior.errors import SettingsError
 from epiprior.estimators import EstimatorSettings
@@ -28,13 +29,11 @@ NAN = float("nan")
 )
 def test_bad_settings_are_named(settings, bad):
     for name, value in ((name, value) for name, values in bad.items() for value in values):
-        with pytest.raises(SettingsError, match=f"{name} is {value!r}"):
-            replace(settings, **{name: value})
+        refused(SettingsError, f"{name} is {value!r}", replace, settings, **{name: value})
 
 
 def test_an_unknown_preset_is_named():
-    with pytest.raises(SettingsError, match="'fancy', known: paper, fast, default, thorough"):
-        find_preset("fancy")
+    refused(SettingsError, "'fancy', known: paper, fast, default, thorough", find_preset, "fancy")
 
 
 def test_presets_of_one_model_differ_in_their_features_alone():

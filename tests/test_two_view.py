@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calls import note_calls
+from calls import note_calls, refused
 from epiprior import two_view
 from epiprior.errors import EstimatorError, ImageError, SettingsError
 from epiprior.estimators.handover import HandOver
@@ -79,8 +79,7 @@ def test_options_that_are_unknown_or_contradict_each_other_are_refused_before_an
         ({"rule": KEEP_ALL, "hand_over": HandOver()}, "rule is of the cascade, but mode is 'preprocess'"),
         ({"rule": KEEP_ALL, "mode": "standard"}, "rule is of the cascade, but mode is 'standard'"),
     ):
-        with pytest.raises((EstimatorError, SettingsError), match=named):
-            estimate_fundamental(texture(), texture(), **options)
+        refused((EstimatorError, SettingsError), named, estimate_fundamental, texture(), texture(), **options)
     assert ranking["calls"] == []
 
 
@@ -148,8 +147,7 @@ def test_features_of_the_callers_own_are_used_on_both_inputs(ranking, monkeypatc
 
 def test_without_image_or_size_a_threshold_has_no_meaning(ranking):
     ranked = ranked_of(ranking["matches"], ranking["matches"])
-    with pytest.raises(ImageError, match="do not know its size"):
-        estimate_fundamental(None, None, ranked=ranked)
+    refused(ImageError, "do not know its size", estimate_fundamental, None, None, ranked=ranked)
     sized = replace(ranking["matches"], image_sizes=((1024, 768), (1024, 768)))
     assert estimate_fundamental(None, None, ranked=ranked_of(sized, sized)).status is Status.OK
 

@@ -42,12 +42,8 @@ def make_model(folder: Path) -> Path:
         "match.onnx": logistic(DEFAULT.match_columns, MATCH_WEIGHTS, -1.0),
         "README.md": b"A model made by hand.\n",
     }
-    manifest = {
-        "schema_version": 1,
-        "name": "default",
-        "preset": "default",
-        "library_versions": {"onnx": onnx.__version__},
-    }
+    manifest = {"schema_version": 1, "name": "default", "preset": "default"}
+    manifest["library_versions"] = {"onnx": onnx.__version__}
     manifest |= {"feature_parameters": {"max_keypoints": 4000}, "training_data": {"sha256": "0" * 64, "pairs": 0}}
     columns = {"two_keypoint": DEFAULT.two_keypoint_columns, "match": DEFAULT.match_columns}
     for (target, names), brier in zip(columns.items(), (0.125, 0.0625), strict=True):

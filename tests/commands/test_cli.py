@@ -134,10 +134,9 @@ def test_match_writes_all_sets_and_says_where_there_are_none(library, images, tm
     assert one_line(result).startswith("epiprior: no matches")
 
 
-@pytest.mark.parametrize(
-    ("command", "name"), [("match", "m.txt"), ("match", "no/m.csv"), ("draw", "f.gif"), ("draw", "no/f.png")]
-)
-def test_outputs_are_checked_before_the_work(library, tmp_path, command, name):
+@pytest.mark.parametrize("call", ["match m.txt", "match no/m.csv", "draw f.gif", "draw no/f.png"])
+def test_outputs_are_checked_before_the_work(library, tmp_path, call):
+    command, name = call.split()
     assert str(tmp_path / name) in refused(command, "a", "b", "--out", tmp_path / name)
     assert library.calls == []
 
@@ -184,12 +183,9 @@ def test_help_version_and_usage_import_nothing_slow():
     assert run("--version").stdout.startswith("epiprior 0.")
     for wrong in (["a"], ["a", "b", "--seed", "-1"], ["a", "b", "--mode", "waterfall"]):
         assert run("estimate", *wrong).exit_code == 2
-    code = (
-        "import sys; from epiprior.cli import app\n"
-        "try: app(['--help'])\n"
-        "except SystemExit: pass\n"
-        "print({m.split('.')[0] for m in sys.modules} & {'numpy', 'numba', 'cv2', 'scipy', 'onnxruntime'})"
-    )
+    code = "import sys; from epiprior.cli import app\ntry: app(['--help'])\nexcept SystemExit: pass\n"
+    slow = "{'numpy', 'numba', 'cv2', 'scipy', 'onnxruntime'}"
+    code += f"print({{m.split('.')[0] for m in sys.modules}} & {slow})"
     assert run_python(code).stdout.splitlines()[-1] == "set()"
 
 

@@ -21,8 +21,7 @@ def test_a_row_of_the_written_matches(model_folder, tmp_path, monkeypatch):
     assert result.exit_code == 0, result.stderr
     printed = json.loads(result.stdout)
     assert (printed["match"], printed["set"], printed["in_x"]) == (7, 0, True)
-    assert printed["x1"] == written.x1[7].tolist()
-    assert printed["probability"] == written.probability[7]
+    assert (printed["x1"], printed["probability"]) == (written.x1[7].tolist(), written.probability[7])
     assert printed["supporting_matrices"] == written.supporting_matrices[7]
     (judged,) = printed["rounds"]
     similarity = next(column for column in judged["columns"] if column["name"] == "similarity")

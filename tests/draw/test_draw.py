@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calls import refused
 from epiprior import OutputError, Status
 from epiprior.draw.captions import draw_header, probability_colours
 from epiprior.draw.pictures import DrawSettings, draw_matches, write_picture
@@ -25,13 +26,11 @@ def test_epipolar_lines_have_a_row_with_a_matrix_and_pass_through_their_points()
     with_lines = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair))
     without = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair, Status.NO_MODEL, message="nothing fits"))
     plain = draw_matches(BLACK, BLACK, pair.matches)
-    assert with_lines.dtype == np.uint8
-    assert with_lines.shape[1:] == (2 * 1024 + 8, 3)
+    assert (with_lines.dtype, with_lines.shape[1:]) == (np.uint8, (2 * 1024 + 8, 3))
     assert with_lines.shape[0] > without.shape[0] + 768
     assert without.shape == plain.shape
     pair = make_pair(noise_px=0.0, outliers=0, seed=3)
-    picture = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair), settings=DrawSettings(epipolar_lines=1))
-    row = picture[-768:]
+    row = draw_matches(BLACK, BLACK, pair.matches, make_estimate(pair), settings=DrawSettings(epipolar_lines=1))[-768:]
     x1, x2 = pair.matches.x1[0], pair.matches.x2[0]
     for left, F, here, there in ((0, pair.F.T, x1, x2), (1032, pair.F, x2, x1)):
         view = row[:, left : left + 1024]
@@ -107,17 +106,12 @@ def test_a_file_and_its_array_give_the_same_figure_which_is_read_back_as_written
     write_picture(tmp_path / "b.png", rgb)
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "b.png"))[:, :, ::-1], rgb)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
-    with pytest.raises(OutputError, match=r"a\.tiff"):
-        write_picture(tmp_path / "a.tiff", rgb)
-    with pytest.raises(OutputError, match="missing"):
-        write_picture(tmp_path / "missing" / "a.png", rgb)
+    refused(OutputError, r"a\.tiff", write_picture, tmp_path / "a.tiff", rgb)
+    refused(OutputError, "missing", write_picture, tmp_path / "missing" / "a.png", rgb)
 
 
 def test_long_messages_stay_left_of_the_colour_scale():
-    pair = make_pair(seed=1)
-    short, long = (
-        draw_header(968, make_estimate(pair, Status.NO_MODEL, message=text), 5, "probability")
-        for text in ("", "word " * 60)
-    )
+    none = [make_estimate(make_pair(seed=1), Status.NO_MODEL, message=text) for text in ("", "word " * 60)]
+    short, long = (draw_header(968, estimate, 5, "probability") for estimate in none)
     np.testing.assert_array_equal(short[:, 700:], long[:, 700:])
     assert (short != long).any()

@@ -13,9 +13,8 @@ from synthetic import make_matches
 BLACK = np.zeros((540, 720), np.uint8)  # drawn at its own size
 SIDE_BY_SIDE = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # rows correspond
 RANKED = make_matches([[360.0, 270.0], [460.0, 270.0]], [[200.0, 272.0], [250.0, 272.0]], np.array([0.9, 0.6]))
-BEST = SupportedMatrix(
-    index=0, F=SIDE_BY_SIDE, made_of=np.zeros((2, 2), int), residual_px=1.4, inliers=3, probability_sum=2.5
-)
+NUMBERS = {"residual_px": 1.4, "inliers": 3, "probability_sum": 2.5}
+BEST = SupportedMatrix(index=0, F=SIDE_BY_SIDE, made_of=np.zeros((2, 2), int), **NUMBERS)
 ROUND = ExplainedRound(probability=0.9, judged=2, columns=(ExplainedColumn("similarity", 1, 2, 3, 0.5, 0.6),))
 PARTNERS = {"partners": np.array([1]), "partner_probability": np.array([0.6]), "partner_voted": np.array([True])}
 PLACE = {"match": 0, "set": 0, "row": 0, "ranked": RANKED, "turned": False}

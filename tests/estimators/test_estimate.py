@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calls import note_calls
+from calls import note_calls, refused
 from epiprior.errors import SettingsError
 from epiprior.estimators import EstimatorSettings
 from epiprior.estimators import fit as run_fit
@@ -28,8 +28,7 @@ HARD_PAIR = make_pair(inliers=150, outliers=1500)
 
 def wrong_set() -> MatchSet:
     """A set with no right match, and probabilities that say so."""
-    noise = make_pair(inliers=0, outliers=300, seed=9).matches
-    return replace(noise, probability=np.full(300, 0.01), roll_deg=90.0)
+    return replace(make_pair(inliers=0, outliers=300, seed=9).matches, probability=np.full(300, 0.01), roll_deg=90.0)
 
 
 def usac(sets: MatchSet | list[MatchSet], how: HandOver, **options) -> FundamentalEstimate:
@@ -88,8 +87,7 @@ def test_probable_support_outweighs_numerous_support():
     good = replace(true.matches, probability=np.full(60, 0.9), roll_deg=10.0)
     bad = replace(other.matches, x2=other.matches.x2[:, ::-1], probability=np.full(150, 0.05))
     by_count, by_probability = (usac([good, bad], how) for how in (PAPER, FULL))
-    assert by_count.roll_deg == 0.0
-    assert by_probability.roll_deg == 10.0
+    assert (by_count.roll_deg, by_probability.roll_deg) == (0.0, 10.0)
 
 
 def test_support_is_collected_from_all_of_the_ranking_once_per_feature_of_probable_matches():
@@ -193,5 +191,4 @@ def test_large_images_and_rough_matrices_are_measured_at_working_size(monkeypatc
 def test_settings_override_the_threshold_of_the_hand_over_and_no_set_is_refused():
     estimate = usac(make_pair(noise_px=1.0).matches, PAPER, settings=EstimatorSettings(threshold_px=0.5))
     assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.5)
-    with pytest.raises(SettingsError, match="no set"):
-        estimate_from_matches([], estimator="usac", hand_over=PAPER)
+    refused(SettingsError, "no set", estimate_from_matches, [], estimator="usac", hand_over=PAPER)

@@ -56,9 +56,8 @@ def test_probability_weighs_a_crowd_speaks_once_and_clusters_and_implausible_cam
     m = replace(pair.matches, probability=np.full(50, 0.5))
     crowd = m.take(np.zeros(30, np.int64))
     crowd = replace(crowd, feature1=np.arange(30), feature2=np.arange(30))
-    assert SpreadEvidence(crowd).score(pair.F) == pytest.approx(
-        SpreadEvidence(m.take(slice(1))).score(pair.F), rel=1e-4
-    )
+    alone = SpreadEvidence(m.take(slice(1))).score(pair.F)
+    assert SpreadEvidence(crowd).score(pair.F) == pytest.approx(alone, rel=1e-4)
     for sizes in (((1024, 768), (1024, 768)), ((1024, 768), (102400, 76800))):
         wanted = camera_plausibility(pair.F[None], sizes)[0] * SpreadEvidence(m).score(pair.F)
         assert SpreadEvidence(replace(m, image_sizes=sizes)).score(pair.F) == pytest.approx(wanted)
@@ -113,8 +112,7 @@ def test_climbing_returns_the_score_of_what_it_returns_and_never_less(seed):
 def test_progressive_samples_grow_from_the_head(n):
     rows = progressive_rows(n, 300)
     assert all(len(set(row)) == 8 for row in rows)
-    assert rows.min() == 0
-    assert rows.max() < n
+    assert 0 == rows.min() <= rows.max() < n
     assert rows[:10].max() < 20
     if n == 1000:
         assert rows[-50:].mean() > 300
@@ -199,8 +197,7 @@ def test_candidates_of_a_feature_count_once():
     wrong2 = on_epipolar_lines(other.F, wrong1)
     x1, x2 = np.concatenate([wrong1, pair.matches.x1]), np.concatenate([wrong2, pair.matches.x2])
     feature1 = np.concatenate([np.repeat(np.arange(25), 10), 100 + np.arange(60)])
-    matches = make_matches(x1, x2, np.full(310, 0.5), feature1=feature1)
-    assert pair.error_px(run("epiprior", matches).F) < 2.0
+    assert pair.error_px(run("epiprior", make_matches(x1, x2, np.full(310, 0.5), feature1=feature1)).F) < 2.0
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -22,6 +22,12 @@ def quarter_turn(x):
     return np.column_stack([HEIGHT - 1 - x[:, 1], x[:, 0]])
 
 
+def two_motions(first, second, probability):
+    """Matches of both, of which the second make a quarter turn."""
+    x2 = np.concatenate([first.x2, quarter_turn(second.x2)])
+    return make_matches(np.concatenate([first.x1, second.x1]), x2, probability)
+
+
 def with_frames(pair: SyntheticPair, turn_deg: int) -> MatchSet:
     """Give right matches scales and orientations that agree, as a detector would; image 2 turns by 0 or 90 degrees."""
     rng = np.random.default_rng(0)
@@ -96,11 +102,7 @@ def test_distance_ratios_stand_in_for_probabilities_and_everything_improbable_ch
     # Twice as many matches of another motion, all of probability 0, lead F nowhere; alone they raise nothing.
     pair, other = make_pair(inliers=100, outliers=20), make_pair(inliers=200, outliers=0, seed=1).matches
     m = pair.matches
-    both = make_matches(
-        np.concatenate([m.x1, other.x1]),
-        np.concatenate([m.x2, quarter_turn(other.x2)]),
-        np.concatenate([m.probability, np.zeros(200)]),
-    )
+    both = two_motions(m, other, np.concatenate([m.probability, np.zeros(200)]))
     assert pair.error_px(fit(name, both).F) < 0.6
     assert fit(name, replace(m, probability=np.zeros(120))).status in (Status.OK, Status.NO_MODEL)
 
@@ -108,11 +110,7 @@ def test_distance_ratios_stand_in_for_probabilities_and_everything_improbable_ch
 def test_the_likelihood_trusts_probable_matches():
     """Two motions: the more numerous one loses where its matches are improbable."""
     first, second = (make_pair(inliers=n, outliers=0, seed=s).matches for n, s in ((60, 0), (100, 1)))
-    matches = make_matches(
-        np.concatenate([first.x1, second.x1]),
-        np.concatenate([first.x2, quarter_turn(second.x2)]),
-        np.concatenate([np.full(60, 0.9), np.full(100, 0.02)]),
-    )
+    matches = two_motions(first, second, np.repeat([0.9, 0.02], [60, 100]))
     recipe = Recipe(kind=LIKELIHOOD, min_iterations=3_000)
     raw = search(matches, matches.probability, recipe, max_iterations=3_000, **SEARCH)
     assert inliers_found(raw.F, matches, np.arange(160) < 60) > 0.9
@@ -131,12 +129,8 @@ def test_density_and_the_tables_are_densities():
     np.testing.assert_allclose(ratio_prior.density(np.random.default_rng(0).uniform(0, 1, 20_000)), 1.0, atol=0.1)
     few = np.array([0.02, 0.5])
     grid = np.linspace(0, 1, 26)
-    expected = [
-        np.mean([sum(np.exp(-0.5 * ((g - m) / 0.03) ** 2) for m in (d, -d, 2 - d)) for d in few])
-        / (0.03 * np.sqrt(2 * np.pi))
-        for g in grid
-    ]
-    np.testing.assert_allclose(ratio_prior.density(few), expected)
+    said = [[sum(np.exp(-0.5 * ((g - m) / 0.03) ** 2) for m in (d, -d, 2 - d)) for d in few] for g in grid]
+    np.testing.assert_allclose(ratio_prior.density(few), np.mean(said, axis=1) / (0.03 * np.sqrt(2 * np.pi)))
     for table in (ratio_prior.DENSITY_IN, ratio_prior.DENSITY_OUT):
         assert np.trapezoid(table, grid) == pytest.approx(1, abs=0.03)
         assert (table > 0).all()

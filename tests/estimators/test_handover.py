@@ -4,11 +4,11 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import naive
+from calls import refused
 from epiprior.errors import FeatureError, SettingsError
 from epiprior.estimators import handover, names
 from epiprior.estimators.handover import HandOver, default_hand_over, hand_over, load_hand_overs, save_hand_overs
@@ -24,10 +24,8 @@ def test_one_to_one_is_its_naive_twin(pairs):
 
 
 def test_one_to_one_refuses_nonsense():
-    with pytest.raises(FeatureError, match=r"\(2,\) and \(3,\)"):
-        one_to_one_mask(np.arange(2), np.arange(3))
-    with pytest.raises(FeatureError, match="-4"):
-        one_to_one_mask(np.array([1, -4]), np.array([0, 1]))
+    refused(FeatureError, r"\(2,\) and \(3,\)", one_to_one_mask, np.arange(2), np.arange(3))
+    refused(FeatureError, "-4", one_to_one_mask, np.array([1, -4]), np.array([0, 1]))
 
 
 def test_cuts_come_before_one_to_one_and_top_k():
@@ -47,8 +45,7 @@ def test_defaults_exist_for_everything_hold_without_a_file_and_are_overridden_by
     assert table["beem"]["default"].top_k > table["usac"]["default"].top_k > table["colmap"]["default"].top_k
     assert table["usac"]["default"].collect
     assert not table["usac"]["paper"].refine
-    with pytest.raises(SettingsError, match="'lowe'"):
-        default_hand_over("usac", "lowe")
+    refused(SettingsError, "'lowe'", default_hand_over, "usac", "lowe")
     path = tmp_path / "hand_over.json"
     path.write_text('{"usac": {"default": {"top_k": 123, "refine": false}}}')
     table = load_hand_overs(path)
@@ -85,5 +82,4 @@ def test_bad_file_names_the_culprit(tmp_path):
         (None, "cannot be read"),
     ):
         path.unlink() if content is None else path.write_text(content)
-        with pytest.raises(SettingsError, match=rf"hand_over\.json: .*{culprit}"):
-            load_hand_overs(path)
+        refused(SettingsError, rf"hand_over\.json: .*{culprit}", load_hand_overs, path)

@@ -26,10 +26,8 @@ def test_output_closed_early_is_said():
 
 @pytest.mark.parametrize("command", ["estimate", "match", "draw"])
 def test_working_size_and_features_are_set_on_the_command_line(tmp_path, monkeypatch, command):
-    library, out = (
-        FakeLibrary(monkeypatch),
-        {"match": ["--out", tmp_path / "m.csv"], "draw": ["--out", tmp_path / "f.png"]},
-    )
+    library = FakeLibrary(monkeypatch)
+    out = {"match": ["--out", tmp_path / "m.csv"], "draw": ["--out", tmp_path / "f.png"]}
     images = [save(tmp_path / f"Photo {i} of 2.png", texture(1024, 768, i)) for i in (1, 2)]
     call = (command, *images, *out.get(command, []))
     options = ["--max-image-size", 512, "--features", "colmap-sift", "--max-features", 100, "--preset", "paper"]

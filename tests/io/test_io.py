@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calls import refused
 from epiprior import FeatureError, ImageError, OutputError, RankedMatches, Status
 from epiprior.geometry import sampson_distance
 from epiprior.io import ColmapPair, read_matches, write_colmap_database, write_matches
@@ -17,9 +18,8 @@ from epiprior.verification.degeneracy import homography_distance
 from pictures import save, texture, turned_jpeg
 from synthetic import make_estimate, make_matches, make_pair
 
-COLUMNS = [
-    f for f in make_pair().matches.__dataclass_fields__ if f not in ("roll_deg", "rough_matrices", "image_sizes")
-]
+OF_THE_SET = ("roll_deg", "rough_matrices", "image_sizes")
+COLUMNS = [name for name in make_pair().matches.__dataclass_fields__ if name not in OF_THE_SET]
 
 
 def two_sets():
@@ -35,8 +35,7 @@ def assert_same(read, written, rtol):
     assert read.roll_deg == pytest.approx(written.roll_deg, rel=rtol)
     for name in COLUMNS:
         got, expected = getattr(read, name), getattr(written, name)
-        assert got.shape == expected.shape
-        assert got.dtype == expected.dtype
+        assert (got.shape, got.dtype) == (expected.shape, expected.dtype)
         np.testing.assert_allclose(got, expected, rtol=rtol, err_msg=name)
 
 
@@ -99,8 +98,7 @@ def test_broken_csv_names_file_and_place(tmp_path, row, change, words):
     lines = path.read_text().splitlines()
     lines[row] = change(lines[row])
     path.write_text("\n".join(lines) + "\n")
-    with pytest.raises(FeatureError, match=f"(?s)m\\.csv.*{words}"):
-        read_matches(path)
+    refused(FeatureError, f"(?s)m\\.csv.*{words}", read_matches, path)
 
 
 def test_files_that_are_no_tables(tmp_path):
@@ -115,15 +113,13 @@ def test_files_that_are_no_tables(tmp_path):
     np.savez(tmp_path / "bad.npz", **{**columns, "x2": columns["x2"][:-1]})
     names = ("picture.csv", "text.npz", "other.npz", "objects.npz", "m.txt", "missing.csv", "missing.npz")
     for culprit in (*(name.replace(".", r"\.") for name in names), r"bad\.npz: column x2"):
-        with pytest.raises(FeatureError, match=culprit):
-            read_matches(tmp_path / culprit.replace("\\", "").split(":")[0])
+        refused(FeatureError, culprit, read_matches, tmp_path / culprit.replace("\\", "").split(":")[0])
 
 
 @pytest.mark.parametrize("name", ["m.txt", "m", "missing/m.csv", "folder.csv: is a folder"])
 def test_outputs_that_cannot_be(tmp_path, name):
     (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(OutputError, match=name):
-        write_matches(tmp_path / name.split(":")[0], two_sets())
+    refused(OutputError, name, write_matches, tmp_path / name.split(":")[0], two_sets())
     assert [path.name for path in tmp_path.iterdir()] == ["folder.csv"]
 
 
@@ -136,26 +132,20 @@ def test_full_disk_leaves_the_old_file(tmp_path, monkeypatch, suffix):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "write_text" if suffix == ".csv" else "open", full)
-    with pytest.raises(OutputError, match=rf"m\{suffix}: cannot be written: No space left"):
-        write_matches(path, two_sets())
+    refused(OutputError, rf"m\{suffix}: cannot be written: No space left", write_matches, path, two_sets())
     monkeypatch.undo()
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
+    assert (path.read_text(), list(tmp_path.iterdir())) == ("old", [path])
 
 
-def test_a_write_that_is_not_allowed_is_told_before_the_work_and_one_interrupted_leaves_the_old_file(
-    tmp_path, monkeypatch
-):
+def test_a_write_that_is_not_allowed_is_told_before_the_work_and_one_cut_short_leaves_the_file(tmp_path, monkeypatch):
     path = tmp_path / "a.txt"
     path.write_text("old")
     with pytest.raises(KeyboardInterrupt), replacing(path) as partial:  # noqa: PT012
         partial.write_text("half")
         raise KeyboardInterrupt
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
+    assert (path.read_text(), list(tmp_path.iterdir())) == ("old", [path])
     monkeypatch.setattr("epiprior.io.output.os.access", lambda path, mode: False)
-    with pytest.raises(OutputError, match=f"no permission to write to the folder {tmp_path}"):
-        check_output(tmp_path / "m.csv")
+    refused(OutputError, f"no permission to write to the folder {tmp_path}", check_output, tmp_path / "m.csv")
 
 
 PAIR = make_pair(seed=4, noise_px=0.2)
@@ -175,8 +165,7 @@ def test_fundamental_matrices_and_homographies_are_moved_to_the_pixels_of_colmap
 @pytest.fixture
 def images(tmp_path):
     (tmp_path / "images" / "sub").mkdir(parents=True)
-    names = ("a.png", "b.png", "sub/c.png")
-    return [save(tmp_path / "images" / n, texture(1024, 768, i)) for i, n in enumerate(names)]
+    return [save(tmp_path / "images" / n, texture(1024, 768, i)) for i, n in enumerate(("a.png", "b.png", "sub/c.png"))]
 
 
 def test_database_reads_back(tmp_path, images):
@@ -188,19 +177,16 @@ def test_database_reads_back(tmp_path, images):
     inliers = np.append(PAIR.right, False)
     found = make_estimate(PAIR, x1=x1, x2=x2, inliers=inliers)
     nothing = make_estimate(PAIR, Status.NO_MODEL, x1=x2, x2=x1, inliers=inliers & False)
-    pairs = [
-        ColmapPair(image1=images[0], image2=images[2], estimate=found),
-        ColmapPair(image1=images[1], image2=images[0], estimate=nothing),
-    ]
-    write_colmap_database(tmp_path / "out.db", pairs)
+    first = ColmapPair(image1=images[0], image2=images[2], estimate=found)
+    second = ColmapPair(image1=images[1], image2=images[0], estimate=nothing)
+    write_colmap_database(tmp_path / "out.db", [first, second])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["images", "out.db"]
     with pycolmap.Database.open(tmp_path / "out.db") as db:
         ids = {image.name: image.image_id for image in db.read_all_images()}
         assert set(ids) == {"a.png", "b.png", "sub/c.png"}
         a, b, c = (ids[name] for name in ("a.png", "b.png", "sub/c.png"))
         keypoints = {i: db.read_keypoints(i) for i in (a, b, c)}
-        assert len(keypoints[a]) == len(x1) - 1
-        assert len(keypoints[c]) == len(x1)
+        assert (len(keypoints[a]), len(keypoints[c])) == (len(x1) - 1, len(x1))
         geometry = db.read_two_view_geometry(a, c)
         got = geometry.inlier_matches
         assert len(got) == PAIR.right.sum()
@@ -219,21 +205,17 @@ def test_database_reads_back(tmp_path, images):
 def test_databases_that_cannot_be(tmp_path, images):
     good = ColmapPair(image1=images[0], image2=images[1], estimate=make_estimate(PAIR))
     swapped = replace(good, image1=images[1], image2=images[0])
-    path, sub = tmp_path / "out.db", tmp_path / "images" / "sub"
-    for error, words, database, pairs, options in (
-        (OutputError, "paired with itself", path, [replace(good, image2=images[0])], {}),
-        (OutputError, "twice", path, [good, swapped], {}),
-        (OutputError, "no folder", tmp_path / "missing" / "out.db", [good], {}),
-        (ImageError, r"gone\.png", path, [replace(good, image2=tmp_path / "gone.png")], {}),
-        (ImageError, r"turned\.jpg.*EXIF", path, [replace(good, image2=turned_jpeg(tmp_path / "turned.jpg"))], {}),
-        (ImageError, "outside", path, [good], {"image_root": sub}),
-    ):
-        with pytest.raises(error, match=words):
-            write_colmap_database(database, pairs, **options)
+    path = tmp_path / "out.db"
+    same, gone, turned = images[0], tmp_path / "gone.png", turned_jpeg(tmp_path / "turned.jpg")
+    refused(OutputError, "paired with itself", write_colmap_database, path, [replace(good, image2=same)])
+    refused(OutputError, "twice", write_colmap_database, path, [good, swapped])
+    refused(OutputError, "no folder", write_colmap_database, tmp_path / "missing" / "out.db", [good])
+    refused(ImageError, r"gone\.png", write_colmap_database, path, [replace(good, image2=gone)])
+    refused(ImageError, r"turned\.jpg.*EXIF", write_colmap_database, path, [replace(good, image2=turned)])
+    refused(ImageError, "outside", write_colmap_database, path, [good], image_root=tmp_path / "images" / "sub")
     assert not path.exists()
     path.write_text("precious")
-    with pytest.raises(OutputError, match="exists already"):
-        write_colmap_database(path, [good])
+    refused(OutputError, "exists already", write_colmap_database, path, [good])
     assert path.read_text() == "precious"
 
 
@@ -245,9 +227,7 @@ def test_without_disk_or_pycolmap_there_is_no_database(tmp_path, images, monkeyp
 
     monkeypatch.setattr(pycolmap.Database, "write_keypoints", full)
     pair = ColmapPair(image1=images[0], image2=images[1], estimate=make_estimate(PAIR))
-    with pytest.raises(OutputError, match=r"out\.db.*disk is full"):
-        write_colmap_database(tmp_path / "out.db", [pair])
+    refused(OutputError, r"out\.db.*disk is full", write_colmap_database, tmp_path / "out.db", [pair])
     assert [p.name for p in tmp_path.iterdir()] == ["images"]
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    with pytest.raises(OutputError, match="pip install 'pycolmap"):
-        write_colmap_database(tmp_path / "out.db", [])
+    refused(OutputError, "pip install 'pycolmap", write_colmap_database, tmp_path / "out.db", [])

@@ -7,6 +7,7 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
+from calls import refused
 from epiprior.errors import SettingsError
 from epiprior.estimators import names
 from epiprior.estimators.handover import INPUTS
@@ -43,11 +44,9 @@ def test_unknown_and_missing_keys_are_named_with_their_section(file, section, lo
     known = next(iter(document[section]))
     document[section]["sheed"] = document[section].pop(known)
     message = rf"params\.yaml: missing key {section}\.{known}; unknown key {section}\.sheed"
-    with pytest.raises(SettingsError, match=message):
-        load(document)
+    refused(SettingsError, message, load, document)
     del document[section]
-    with pytest.raises(SettingsError, match=rf"params\.yaml: missing key {section}$"):
-        load(document)
+    refused(SettingsError, rf"params\.yaml: missing key {section}$", load, document)
 
 
 @pytest.mark.parametrize(
@@ -85,8 +84,7 @@ def test_wrong_types_and_ranges_are_named(key, value, message, load):
     document = document_of()
     *sections, last = key.split(".")
     functools.reduce(dict.__getitem__, sections, document)[last] = value
-    with pytest.raises(SettingsError, match=rf"params\.yaml: {key}{message}"):
-        load(document)
+    refused(SettingsError, rf"params\.yaml: {key}{message}", load, document)
 
 
 @pytest.mark.parametrize(
@@ -102,8 +100,7 @@ def test_settings_that_do_not_agree_are_named_and_all_errors_at_once(changes, me
     for key, value in changes.items():
         section, name = key.split(".")
         document[section][name] = value
-    with pytest.raises(SettingsError, match=message):
-        load(document)
+    refused(SettingsError, message, load, document)
     with pytest.raises(ValidationError, match="tolerance"):  # also of a section that is made by hand
         replace(load_study(FILES["study"]).cascade, tolerance=1.5)
 
@@ -120,8 +117,7 @@ def test_what_follows_from_parameters():
     assert photographs.inputs_and_peers["epiprior"] == ("standard", "snn", "fast", "default")
     assert replace(photographs, peers=None).inputs_and_peers == photographs.inputs_by_estimator
     for wrong in ({"loftr": ("usac",)}, {"aliked": ("usac2",)}):
-        with pytest.raises(ValidationError, match="peer_estimators"):
-            replace(photographs, peer_estimators=wrong)
+        refused(ValidationError, "peer_estimators", replace, photographs, peer_estimators=wrong)
     assert "aliked" not in photographs.all_inputs
     assert study.pairs_of("open") == Path("data/scenes/test/open")
     assert study.control_points_of("open") == Path("data/ground_truth/test/open/control_points")
@@ -136,5 +132,4 @@ def test_what_follows_from_parameters():
 def test_an_absent_file_and_one_that_is_no_mapping_are_named(text, tmp_path):
     if text is not None:
         (tmp_path / "params.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(SettingsError, match=r"params\.yaml"):
-        load_params(tmp_path / "params.yaml")
+    refused(SettingsError, r"params\.yaml", load_params, tmp_path / "params.yaml")

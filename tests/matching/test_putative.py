@@ -21,12 +21,10 @@ def test_oversegmentation_in_one_image_is_bridged_and_no_clusters_have_no_matche
     pairs = list(zip(X.feature1.tolist(), X.feature2.tolist(), strict=True))
     assert pairs == [(i, j) for i in range(3) for j in range(3)] + [(3, 3)]
     assert X.start1.tolist() == [0, 3, 6, 9, 10]
-    assert X.candidates1.tolist() == [3, 3, 3, 1]
-    assert X.candidates2.tolist() == [3, 3, 3, 1]
+    assert X.candidates1.tolist() == X.candidates2.tolist() == [3, 3, 3, 1]
     none = Clusters(*(np.empty(0, np.int64),) * 2, np.zeros(1, np.int64), np.empty((0, 1), np.float32))
     X = putative_matches(none, clusters_of([0], [[1.0]]), np.empty((0, 1), np.float32), np.ones((1, 1), np.float32))
-    assert len(X) == 0
-    assert X.candidates2.tolist() == [0]
+    assert (len(X), X.candidates2.tolist()) == (0, [0])
 
 
 @pytest.mark.parametrize("limit", [1, 5, 11, 12, 100])

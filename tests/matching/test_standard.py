@@ -22,8 +22,7 @@ def test_both_directions_equal_the_naive_search(n1, n2):
 def test_no_features_on_a_side(n1, n2):
     rng = np.random.default_rng(0)
     forward, backward = nearest_neighbours(unit_rows(rng, n1, 16), unit_rows(rng, n2, 16))
-    assert forward.nearest.tolist() == [-1] * n1
-    assert backward.nearest.tolist() == [-1] * n2
+    assert (forward.nearest.tolist(), backward.nearest.tolist()) == ([-1] * n1, [-1] * n2)
     assert not mutual_mask(forward, backward).any()
     assert similarity_weights(forward, backward).shape == (n1,)
 
@@ -67,8 +66,7 @@ def naive_table(d1, d2, of1, of2, limit):
         r = ratio(S[i])
         if r <= limit or mutual:
             old = rows.get((of1[i], of2[j]), (1.0, 0.0, False))
-            new = (min(old[0], r if r <= limit else 1.0), max(old[1], weights[i]), old[2] or mutual)
-            rows[of1[i], of2[j]] = new
+            rows[of1[i], of2[j]] = (min(old[0], r if r <= limit else 1.0), max(old[1], weights[i]), old[2] or mutual)
     back = {}
     for j in range(len(d2)):
         i = int(S[:, j].argmax())

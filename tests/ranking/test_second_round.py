@@ -34,8 +34,7 @@ def described():
 
 def test_the_most_probable_matches_are_described_and_right_ones_are_near_the_best_f(described):
     rows, right, probability, table, found = described
-    assert found.columns == SECOND_ROUND_COLUMNS
-    assert found.descriptors.shape == (150, len(SECOND_ROUND_COLUMNS))
+    assert (found.columns, found.descriptors.shape) == (SECOND_ROUND_COLUMNS, (150, len(SECOND_ROUND_COLUMNS)))
     assert set(rows) == set(np.argsort(-probability)[:150])
     np.testing.assert_allclose(found.column("probability"), np.sort(probability)[::-1][:150], rtol=1e-6)
     np.testing.assert_array_equal(found.select(MATCH_COLUMNS), table.descriptors[rows])
@@ -79,9 +78,8 @@ def test_agreement_in_image_2_is_that_in_image_1_of_the_swapped_pair(described):
     scale = np.random.default_rng(2).uniform(1, 3, 80)
     one = make_frames(pair.matches.x1, pair.matches.x2, scale1=scale, roll_rad=0.3)
     other = make_frames(pair.matches.x2, pair.matches.x1, scale2=scale, roll_rad=-0.3)
-    a, b = (
-        second_round_table(index, union, frames, table, p, F[None]) for frames, F in ((one, pair.F), (other, pair.F.T))
-    )
+    both = ((one, pair.F), (other, pair.F.T))
+    a, b = (second_round_table(index, union, frames, table, p, F[None]) for frames, F in both)
     names = [name for name in SECOND_ROUND_COLUMNS if name.startswith("probable_")]
     first, second = tuple(names[:4]), tuple(names[4:])
     np.testing.assert_allclose(a.select(second), b.select(first), rtol=1e-5)

@@ -55,9 +55,8 @@ def test_extended_columns_and_that_a_pair_and_its_swap_count_once():
     table = describe_two_keypoint_matches(X, frames, main, other, np.zeros(len(main), bool), around)
     assert table.columns == TWO_KEYPOINT_COLUMNS
     changes = np.log(frames.scale2 / frames.scale1)
-    np.testing.assert_allclose(
-        table.select(("scale_change_difference",))[:, 0], np.abs(changes[main] - changes[other]), atol=1e-5
-    )
+    wanted = np.abs(changes[main] - changes[other])
+    np.testing.assert_allclose(table.select(("scale_change_difference",))[:, 0], wanted, atol=1e-5)
     assert np.abs(table.select(("turn_difference", "roll_error_main"))).max() <= np.pi + 1e-5
     for name, rows in (("main", main), ("neighbour", other)):
         columns = tuple(f"{column}_{name}" for column in COHERENCE_COLUMNS)

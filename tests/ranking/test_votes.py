@@ -1,3 +1,5 @@
+from itertools import combinations
+
 import numpy as np
 import pytest
 
@@ -37,8 +39,7 @@ def test_rough_matrices_equal_the_naive_eight_point_algorithm():
     y2 = y1 + rng.uniform(-40, 40, (5, 8, 2))
     F = rough_fundamental_matrices(y1, y2)
     assert F.shape == (10, 3, 3)
-    pairs = [(i, j) for i in range(5) for j in range(i + 1, 5)]
-    for f, (i, j) in zip(F, pairs, strict=True):
+    for f, (i, j) in zip(F, combinations(range(5), 2), strict=True):
         assert same_matrix(f, naive.eight_point(np.vstack([y1[i], y1[j]]), np.vstack([y2[i], y2[j]])), 1e-6)
         assert np.linalg.svd(f)[1][2] < 1e-9
     assert count_votes(np.empty((0, 3, 3)), np.zeros((4, 2)), np.zeros((4, 2)))[0].tolist() == [0] * 4

@@ -33,9 +33,7 @@ def test_what_a_cascade_answers():
         assert rule.choose(first, second) is (first, second)[answer]
 
 
-def test_a_file_is_read_as_written_or_its_culprit_named_the_packaged_one_is_valid_and_without_one_the_defaults_hold(
-    tmp_path, monkeypatch
-):
+def test_a_file_is_read_or_its_culprit_named_the_packaged_one_valid_and_none_the_defaults(tmp_path, monkeypatch):
     rule = CascadeRule(min_confidence=0.35)
     save_cascade_rule(tmp_path / "a.json", rule)
     assert load_cascade_rule(tmp_path / "a.json") == rule

@@ -36,8 +36,7 @@ def test_rate_is_that_of_fresh_random_matches_sees_that_points_are_crowded_and_i
 def test_log_chance_is_the_binomial_law():
     """With 93 free matches of 100 and a rate of 0.5 %, 6 free supporters are the first that count."""
     for supporters, free in ((13, 5), (12, 4)):
-        wanted = 5 + math.log10(binom.sf(free, 93, 0.005))
-        assert log_chance(supporters, 100, 0.005, fitted=7) == pytest.approx(wanted)
+        assert log_chance(supporters, 100, 0.005, fitted=7) == pytest.approx(5 + math.log10(binom.sf(free, 93, 0.005)))
     assert log_chance(13, 100, 0.005, fitted=7) < 0 < log_chance(12, 100, 0.005, fitted=7)
     assert log_chance(100, 100, 1.0, fitted=7) == pytest.approx(5)
     assert log_chance(1000, 1000, 1e-6, fitted=7) == pytest.approx(-295)

@@ -9,6 +9,7 @@ from operator import getitem
 import numpy as np
 import pytest
 
+from calls import refused
 from epiprior.errors import ModelError
 from epiprior.ranking.models import find_model
 from epiprior.types import Geometry, Status
@@ -47,11 +48,8 @@ def test_status_geometry_and_message_follow_from_both_probabilities(facts):
     assert (flat.status, flat.geometry) == (Status.DEGENERATE, Geometry.PLANAR)
     assert flat.message == "one plane: F is not determined"
     assert "copies" in verdict(facts, 0.1, 0.9, Geometry.IDENTICAL).message
-    for found in (
-        verdict(facts, 0.1, 0.05),
-        verdict(facts, 0.1, 0.9, None),
-        verdict(facts, 0.5, 0.05, min_confidence=0.6),
-    ):
+    unsure = verdict(facts, 0.5, 0.05, min_confidence=0.6)
+    for found in (verdict(facts, 0.1, 0.05), verdict(facts, 0.1, 0.9, None), unsure):
         assert (found.status, found.geometry) == (Status.NO_MODEL, Geometry.NONE)
         assert "no more agreement than between photographs of different places" in found.message
     on_overlay = replace(facts, apart=0.1)
@@ -79,7 +77,5 @@ def test_a_damaged_model_is_refused(tmp_path):
         manifest = json.loads(text)
         functools.reduce(getitem, keys[:-1], manifest)[keys[-1]] = value
         (folder / "manifest.json").write_text(json.dumps(manifest))
-        with pytest.raises(ModelError, match=message):
-            load_confidence(folder)
-    with pytest.raises(ModelError, match="no such folder"):
-        load_confidence(folder / "nowhere")
+        refused(ModelError, message, load_confidence, folder)
+    refused(ModelError, "no such folder", load_confidence, folder / "nowhere")

@@ -21,10 +21,8 @@ def fundamental(f1, f2, seed=0):
 def naive_plausibility(F, sizes):
     best = 0.0
     for focal in FOCAL_LENGTHS:
-        K = [
-            np.array([[focal * max(s), 0, (s[0] - 1) / 2], [0, focal * max(s), (s[1] - 1) / 2], [0, 0, 1]])
-            for s in sizes
-        ]
+        of_sizes = [(focal * max(width, height), (width - 1) / 2, (height - 1) / 2) for width, height in sizes]
+        K = [np.array([[f, 0, x], [0, f, y], [0, 0, 1]]) for f, x, y in of_sizes]
         s = np.linalg.svd(K[1].T @ F @ K[0], compute_uv=False)
         best = max(best, s[1] / s[0])
     return best

@@ -16,8 +16,7 @@ def document():
 
 
 def test_the_file_is_read_whole():
-    read = json.loads(json.dumps(asdict(load_sfm_params(FILE))))
-    assert read == json.loads(json.dumps(document()))
+    assert json.loads(json.dumps(asdict(load_sfm_params(FILE)))) == json.loads(json.dumps(document()))
 
 
 @pytest.mark.parametrize(

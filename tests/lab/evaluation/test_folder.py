@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from calls import refused
 from epiprior.errors import SettingsError
 from epiprior_lab.evaluation import folder as own
 from epiprior_lab.evaluation.records import RECORDS, Tables
@@ -15,13 +16,10 @@ from synthetic_tables import study_tables
 def test_sets_are_found_and_linked(relief, tmp_path):
     datasets = relief.parent
     assert own.find_sets(datasets) == own.find_sets(datasets / "relief") == [datasets / "relief"]
-    with pytest.raises(SettingsError, match="'strecha'"):
-        own.find_sets(datasets, ["relief", "strecha"])
-    with pytest.raises(SettingsError, match=r"pairs\.csv"):
-        own.find_sets(tmp_path / "nowhere")
+    refused(SettingsError, "'strecha'", own.find_sets, datasets, ["relief", "strecha"])
+    refused(SettingsError, r"pairs\.csv", own.find_sets, tmp_path / "nowhere")
     folder = tmp_path / "data" / "real"
-    with pytest.raises(SettingsError, match="make real DATA=FOLDER"):
-        link_sets(("relief",), None, folder)
+    refused(SettingsError, "make real DATA=FOLDER", link_sets, ("relief",), None, folder)
     assert link_sets(("relief",), datasets, folder) == [folder / "relief"]
     assert (folder / "relief").is_symlink()
     assert not (folder / "relief").readlink().is_absolute()
@@ -30,13 +28,10 @@ def test_sets_are_found_and_linked(relief, tmp_path):
     own_set.mkdir()
     (own_set / "pairs.csv").touch()
     assert link_sets(("mine", "relief"), datasets, folder)[0] == own_set  # a set that lies there stays
-    for names, source, message in (  # links that are there are not taken in silence
-        (("relief", "absent"), datasets, "no pair set absent in"),
-        (("relief",), tmp_path / "datasetz", r"datasetz: no such folder"),
-        (("relief",), tmp_path, "holds no pair set of relief"),
-    ):
-        with pytest.raises(SettingsError, match=message):
-            link_sets(names, source, folder)
+    # Links that are there are not taken in silence.
+    refused(SettingsError, "no pair set absent in", link_sets, ("relief", "absent"), datasets, folder)
+    refused(SettingsError, r"datasetz: no such folder", link_sets, ("relief",), tmp_path / "datasetz", folder)
+    refused(SettingsError, "holds no pair set of relief", link_sets, ("relief",), tmp_path, folder)
     assert link_sets(("relief",), folder, folder) == [folder / "relief"]  # no link to itself
     assert (folder / "relief").resolve() == (datasets / "relief").resolve()
 
@@ -57,8 +52,7 @@ def test_a_folder_is_evaluated(relief, model_folder, tiny_model, tmp_path, monke
     assert (own_runs["status"] == "ok").all()
     assert (own_runs["error_px"] < 3).all()
     for bad, message in (({"seeds": 0}, "seeds is 0"), ({"estimators": ("usak",)}, "'usak'")):
-        with pytest.raises(SettingsError, match=message):
-            own.evaluate_folder(relief.parent, **bad)
+        refused(SettingsError, message, own.evaluate_folder, relief.parent, **bad)
 
 
 def test_the_summary_counts_failures():

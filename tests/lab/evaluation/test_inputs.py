@@ -2,10 +2,9 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import epiprior.matching.pair
-from calls import note_calls
+from calls import note_calls, refused
 from epiprior.errors import SettingsError
 from epiprior.presets import find_preset
 from epiprior.rank import rank_matches
@@ -33,13 +32,10 @@ def test_shared_features_and_files_change_nothing(pairs, tiny_model, tmp_path):
 def test_matches_do_not_depend_on_estimators_and_an_unknown_input_is_named(pairs):
     """So that a changed estimator leaves stored matches as they are."""
     assert not [file for file in source_files(Path(inputs.__file__)) if file.parent.name == "estimators"]
-    with pytest.raises(SettingsError, match="'lowe'"):
-        inputs.match_pair(pairs[0], ("lowe",))
+    refused(SettingsError, "'lowe'", inputs.match_pair, pairs[0], ("lowe",))
 
 
-def test_the_printed_method_is_on_features_of_its_own_and_others_are_detected_once_for_all_inputs(
-    pairs, tiny_model, monkeypatch
-):
+def test_the_printed_method_has_features_of_its_own_and_others_are_detected_once(pairs, tiny_model, monkeypatch):
     found = inputs.match_pair(pairs[0], ("standard", "paper-standard", "fast", "default"))
     least = find_preset("paper").features.min_scale
     assert found.sets["paper-standard"][0].scale1.min() >= least > found.sets["standard"][0].scale1.min()
@@ -57,19 +53,15 @@ def test_the_printed_method_is_on_features_of_its_own_and_others_are_detected_on
                 np.testing.assert_array_equal(getattr(a, column.name), getattr(b, column.name))
 
 
-def test_matches_of_a_peer_are_kept_beside_our_own_may_have_features_of_their_own_and_damaged_ones_are_named(
-    pairs, relief, tmp_path
-):
-    peers = relief.parent / "peers" / "relief"
-    files = inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path, peers=peers)[0]
+def test_matches_of_a_peer_are_kept_beside_our_own_with_their_features_or_named_if_damaged(pairs, relief, tmp_path):
+    files = inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path, peers=relief.parent / "peers" / "relief")[0]
     (found,), own = files.read().sets["twin"], files.features["standard"]
     assert files.features["twin"] == own
     assert min(own) > 300
     np.testing.assert_allclose(found.x1, pairs[0].control_points()[0])
     assert np.isnan(found.probability).all()
     assert found.image_sizes == files.read().sets["standard"][0].image_sizes
-    with pytest.raises(DatasetError, match="matches of twin"):
-        inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path)
+    refused(DatasetError, "matches of twin", inputs.store_matches, pairs[:1], ("standard", "twin"), tmp_path)
     good = dict(np.load(relief.parent / "peers" / "relief" / "twin" / "relief-0.npz"))
     for change, message in (
         ({"scale1": good["scale1"][:-1]}, "scale1 has shape"),
@@ -80,10 +72,8 @@ def test_matches_of_a_peer_are_kept_beside_our_own_may_have_features_of_their_ow
     ):
         values = {name: value for name, value in (good | change).items() if value is not None}
         np.savez(tmp_path / "q.npz", **values)
-        with pytest.raises(DatasetError, match=message):
-            inputs.read_peer_matches(tmp_path / "q.npz")
-    with pytest.raises(DatasetError, match="absent"):
-        inputs.read_peer_matches(tmp_path / "absent.npz")
+        refused(DatasetError, message, inputs.read_peer_matches, tmp_path / "q.npz")
+    refused(DatasetError, "absent", inputs.read_peer_matches, tmp_path / "absent.npz")
     values = {name: good[name] for name in ("x1", "x2", "feature1", "feature2")}
     np.savez(tmp_path / "q.npz", **values, features=np.array([2048, 1500]))
     found, counts = inputs.read_peer_matches(tmp_path / "q.npz")

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calls import refused
 from epiprior.errors import SettingsError
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
@@ -75,11 +76,9 @@ def test_peers_run_in_an_environment_of_their_own(pairs, environment, tmp_path):
     assert len(second) == len(first) - 1
     np.testing.assert_array_equal(first.x1[::-1], features.xy[: len(first)])
     assert first.feature1.max() <= len(np.unique(features.xy, axis=0))
-    with pytest.raises(Exception, match="it is broken"):
-        write_peer_matches(pairs[:1], ("broken",), tmp_path / "out", **settings)
+    refused(Exception, "it is broken", write_peer_matches, pairs[:1], ("broken",), tmp_path / "out", **settings)
     (environment / "bin" / "python").unlink()
-    with pytest.raises(SettingsError, match="make peers"):
-        write_peer_matches(pairs[:1], ("a",), tmp_path / "out", **settings)
+    refused(SettingsError, "make peers", write_peer_matches, pairs[:1], ("a",), tmp_path / "out", **settings)
 
 
 def test_learned_matchers_get_the_photographs(pairs, environment, tmp_path, monkeypatch):
@@ -107,8 +106,7 @@ def test_learned_matchers_are_timed(pairs, environment, tmp_path):
     script.write_text(LEARNED)
     how = {"peer": "disk", "python": environment / "bin" / "python", "script": script, "threads": 2}
     found, seconds = learned.time_learned(images=images, **how)
-    assert seconds == [(2.0, 1.0)] * len(pairs)
-    assert [len(columns["x1"]) for columns in found] == [4] * len(pairs)
+    assert (seconds, [len(columns["x1"]) for columns in found]) == ([(2.0, 1.0)] * len(pairs), [4] * len(pairs))
     assert (tmp_path / "log").read_text() == f"disk {len(pairs)} 2 True\n"
     with pytest.raises(learned.LearnedError, match="disk: no image"):
         learned.time_learned(images=[(tmp_path / "absent.png", tmp_path / "absent.png")], **how)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from calls import refused
 from epiprior.errors import SettingsError
 from epiprior_lab import measures
 from epiprior_lab.evaluation import statistics as st
@@ -60,13 +61,9 @@ def test_intervals_equal_a_naive_bootstrap_and_bad_input_is_named(rng):
         assert interval.low == pytest.approx(ordered[math.ceil(0.025 * 500) - 1])
         assert interval.high == pytest.approx(ordered[math.ceil(0.975 * 500) - 1])
     assert st.bootstrap_mean(without, draws=500, seed=7) == got.without
-    for call, culprit in (
-        (lambda: st.bootstrap_weights(0, draws=5, seed=0), "0 observations"),
-        (lambda: st.bootstrap_weights(2, draws=5, seed=0, groups=["a"]), "1 groups"),
-        (lambda: st.paired_bootstrap([1], [1, 2], draws=5, seed=0), r"\(1,\) and \(2,\)"),
-    ):
-        with pytest.raises(SettingsError, match=culprit):
-            call()
+    refused(SettingsError, "0 observations", st.bootstrap_weights, 0, draws=5, seed=0)
+    refused(SettingsError, "1 groups", st.bootstrap_weights, 2, draws=5, seed=0, groups=["a"])
+    refused(SettingsError, r"\(1,\) and \(2,\)", st.paired_bootstrap, [1], [1, 2], draws=5, seed=0)
 
 
 def test_success_curve_and_the_area_below_it(rng):
@@ -81,8 +78,7 @@ def test_success_curve_and_the_area_below_it(rng):
     assert mean[-1] == pytest.approx((30 * 4 - 2) / 4)
     np.testing.assert_array_equal(st.success_curve(errors[:, :1], thresholds)[1], 0)
     errors = np.append(rng.exponential(6, 40), [np.inf, np.nan])
-    grid = (np.arange(20_000) + 0.5) / 2000
-    naive = np.mean([(errors < t).mean() for t in grid])
+    naive = np.mean([(errors < t).mean() for t in (np.arange(20_000) + 0.5) / 2000])
     assert st.area_under_success_curve(errors, 10.0) == pytest.approx(naive, abs=1e-3)
 
 
@@ -116,5 +112,4 @@ def test_ranking_measures_and_calibration_bins(rng):
     assert none.curve.shape == (0, 3)
     assert np.isnan([none.brier_score, none.expected_calibration_error]).all()
     for value in (1.2, np.nan):
-        with pytest.raises(SettingsError, match=str(value)):
-            measures.calibration_bins(np.array([value]), np.array([True]))
+        refused(SettingsError, str(value), measures.calibration_bins, np.array([value]), np.array([True]))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calls import refused
 from epiprior.errors import SettingsError
 from epiprior.geometry import sampson_distance
 from epiprior_lab.evaluation import truth as known
@@ -19,16 +20,14 @@ def test_points_of_a_pair_with_cameras_only_which_need_two_centres(tmp_path):
     assert len(x1) == len(x2) > 80
     assert sampson_distance(pair.fundamental(), x1, x2).max() < 1e-9
     for x in (x1, x2):
-        assert (x >= 0).all()
-        assert (x <= [WIDTH - 1, HEIGHT - 1]).all()
+        assert ((x >= 0) & (x <= [WIDTH - 1, HEIGHT - 1])).all()
     assert np.ptp(x2, axis=0).min() > 300  # not all on one side
     assert sampson_distance(camera_pair(tmp_path, two_cameras((-2.0, 1.3, 0.4))).fundamental(), x1, x2).mean() > 10
     truth = pair_truth(pair, TruthSettings())
     assert (truth.labels, truth.points) == ("epipolar", "cameras")
     np.testing.assert_allclose(truth.F, pair.fundamental())
     for cameras in (two_cameras((0.0, 0.0, 0.0)), (None, None)):
-        with pytest.raises(DatasetError, match="'p'"):
-            evaluation_points(camera_pair(tmp_path, cameras))
+        refused(DatasetError, "'p'", evaluation_points, camera_pair(tmp_path, cameras))
 
 
 def test_an_f_is_fitted_to_control_points_unless_they_lie_on_a_plane(pairs, relief, tmp_path):
@@ -61,8 +60,7 @@ def test_difficulty_and_the_settings_of_a_parameter_file():
     settings = TruthSettings(easy_share=0.5, hard_share=0.2)
     found = [settings.difficulty(share) for share in (0.51, 0.5, 0.2, 0.19, np.nan)]
     assert found == ["easy", "medium", "medium", "hard", ""]
-    with pytest.raises(SettingsError, match="hard_share"):
-        TruthSettings(easy_share=0.2, hard_share=0.5)
+    refused(SettingsError, "hard_share", TruthSettings, easy_share=0.2, hard_share=0.5)
     labels = {"tolerance_px": 2.0, "tolerance_sigma": 0.25, "depth_tolerance": 0.03, "epipolar_px": 1.5}
     own = {"plane_px": 4.0, "easy_share": 0.6, "hard_share": 0.1}
     found = TruthSettings.of(TruthParams(**labels, **own, one_plane=None))

@@ -9,6 +9,7 @@ import pytest
 import scipy.io
 from typer.testing import CliRunner
 
+from calls import refused
 from epiprior.errors import EpipriorError, ImageError, OutputError
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior_lab.cli import app
@@ -44,6 +45,12 @@ def assert_points(pair, x1, x2, tolerance=1e-5):
     np.testing.assert_allclose(got2, x2, atol=tolerance)
 
 
+def written(out, found, **options):
+    """Return the pairs of a new set, read back."""
+    write_found(out, found, **options)
+    return read_pair_set(out).pairs
+
+
 def pair_of_pictures(folder, name):
     for side, letter in enumerate("AB"):
         picture(folder / f"{name}{letter}.png", side)
@@ -74,8 +81,7 @@ def test_kusvod2_and_its_damage(kusvod2, tmp_path):
         (lambda: scipy.io.savemat(path, {"other": 1}), r"holds no validation\.pts"),
     ):
         damage()
-        with pytest.raises(DatasetError, match=rf"shout_vpts\.mat: {message}"):
-            find_match_files("kusvod2", kusvod2)
+        refused(DatasetError, rf"shout_vpts\.mat: {message}", find_match_files, "kusvod2", kusvod2)
 
 
 def labelled():
@@ -99,8 +105,7 @@ def test_adelaidermf_from_mat_and_labelled_text_and_of_one_plane(tmp_path):
     assert blue < 50 < 200 < red
     folder = pair_of_pictures(tmp_path / "text", "hall")
     (folder / "hall_pts.txt").write_text(lines(np.vstack([homogeneous(x1, x2), labels]).T))
-    write_found(tmp_path / "same", find_match_files("adelaidermf", folder))
-    (pair,) = read_pair_set(tmp_path / "same").pairs
+    (pair,) = written(tmp_path / "same", find_match_files("adelaidermf", folder))
     assert_points(pair, x1[labels > 0], x2[labels > 0])
     assert sampson_distance(fundamental_from_cameras(*CAMERAS), *pair.control_points()).max() < 1e-4
     x1, _ = matches(30)
@@ -132,21 +137,18 @@ def test_damage_of_adelaidermf_is_named(tmp_path, damage, message):
         grey = np.zeros((HEIGHT, WIDTH), np.uint8)
         content = {"img1": grey, "img2": grey, "data": homogeneous(x1, x2), "label": labels} | damage
         scipy.io.savemat(tmp_path / "hall.mat", {name: value for name, value in content.items() if value is not None})
-    with pytest.raises(DatasetError, match=message):
-        find_match_files("adelaidermf", tmp_path)
+    refused(DatasetError, message, find_match_files, "adelaidermf", tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "stem", "file"), [("oxford", "img{}.ppm", "H1to{}p"), ("hpatches", "{}.ppm", "H_1_{}")]
-)
-def test_sequences_of_a_plane(name, stem, file, tmp_path):
+@pytest.mark.parametrize("names", [("oxford", "img{}.ppm", "H1to{}p"), ("hpatches", "{}.ppm", "H_1_{}")])
+def test_sequences_of_a_plane(names, tmp_path):
+    name, stem, file = names
     scene = tmp_path / "all/v_graf"
     for number in (1, 2, 3):
         picture(scene / stem.format(number), number)
     for number in (2, 3):
         (scene / file.format(number)).write_text(lines(H * number))
-    write_found(tmp_path / "set", find_sequences(name, tmp_path / "all"))
-    pairs = read_pair_set(tmp_path / "set").pairs
+    pairs = written(tmp_path / "set", find_sequences(name, tmp_path / "all"))
     assert [pair.pair_id for pair in pairs] == ["v_graf_1_2", "v_graf_1_3"]
     assert {(pair.scene, pair.difficulty) for pair in pairs} == {("v_graf", "viewpoint")}
     assert len(list((tmp_path / "set/images").iterdir())) == 3
@@ -158,8 +160,7 @@ def test_sequences_of_a_plane(name, stem, file, tmp_path):
     sigma = np.full(len(x1), 2.0)
     assert label_matches(pair, x1, x2, sigma, sigma).all()
     assert not label_matches(pair, x1, x2 + [4.0, 0.0], sigma, sigma).any()
-    with pytest.raises(DatasetError, match="decide no fundamental"):
-        reference_fundamental(pair)
+    refused(DatasetError, "decide no fundamental", reference_fundamental, pair)
 
 
 def test_damage_of_homographies_is_named(tmp_path):
@@ -172,12 +173,10 @@ def test_damage_of_homographies_is_named(tmp_path):
         ("1 0 5000\n0 1 0\n0 0 1\n", r"takes no point of .*img1\.ppm into .*img2\.ppm"),
     ):
         (tmp_path / "H1to2p").write_text(content)
-        with pytest.raises(DatasetError, match=message):
-            write_found(tmp_path / "set", find_sequences("oxford", tmp_path))
+        refused(DatasetError, message, lambda: write_found(tmp_path / "set", find_sequences("oxford", tmp_path)))
     (tmp_path / "img2.ppm").unlink()
     for name, message in (("oxford", r"H1to2p: no image .*img2"), ("hpatches", "no homography with a name")):
-        with pytest.raises(DatasetError, match=message):
-            find_sequences(name, tmp_path)
+        refused(DatasetError, message, find_sequences, name, tmp_path)
 
 
 def test_usac_needs_points_by_hand_or_is_fitted_and_its_damage_is_named(tmp_path):
@@ -187,13 +186,11 @@ def test_usac_needs_points_by_hand_or_is_fitted_and_its_damage_is_named(tmp_path
     x1, x2 = matches(80)
     x2[60:] = x2[60:][::-1]
     (usac / "test1" / "orig_pts.txt").write_text("80\n" + lines(np.hstack([x1, x2])))
-    with pytest.raises(DatasetError, match=r"no ground truth.*epiprior-lab label .*im1\.jpg .*im2\.jpg --out POINTS"):
-        find_usac(usac)
+    refused(DatasetError, r"no ground truth.*epiprior-lab label .*im1\.jpg .*im2\.jpg --out POINTS", find_usac, usac)
     x1, x2 = matches(16, seed=1)
     (tmp_path / "points").mkdir()
     (tmp_path / "points/test1.csv").write_text("x1,y1,x2,y2\n" + lines(np.hstack([x1, x2])).replace(" ", ","))
-    write_found(tmp_path / "set", find_usac(usac, points=tmp_path / "points"))
-    (pair,) = read_pair_set(tmp_path / "set").pairs
+    (pair,) = written(tmp_path / "set", find_usac(usac, points=tmp_path / "points"))
     assert pair.difficulty == "points by hand; 80 matches"
     assert_points(pair, x1, x2)
     (pair,) = find_usac(usac, fit=True)
@@ -202,11 +199,9 @@ def test_usac_needs_points_by_hand_or_is_fitted_and_its_damage_is_named(tmp_path
     assert np.median(sampson_distance(fundamental_from_cameras(*CAMERAS), *pair.points)) < 0.01
     path = usac / "test1/orig_pts.txt"
     path.write_text(path.read_text().replace("80\n", "81\n", 1))
-    with pytest.raises(DatasetError, match=r"orig_pts\.txt: line 1 announces 81 rows, there are 80"):
-        find_usac(usac, fit=True)
+    refused(DatasetError, r"orig_pts\.txt: line 1 announces 81 rows, there are 80", find_usac, usac, fit=True)
     (usac / "test1/im2.jpg").unlink()
-    with pytest.raises(DatasetError, match=r"orig_pts\.txt: no image .*im2\.jpg"):
-        find_usac(usac)
+    refused(DatasetError, r"orig_pts\.txt: no image .*im2\.jpg", find_usac, usac)
 
 
 FIRST, SECOND, THIRD = (f"object0041.view0{number}.png" for number in (1, 2, 3))
@@ -225,17 +220,12 @@ def listed(tmp_path):
 
 
 def test_lists_of_pairs_and_known_sets_that_have_their_number_of_pairs(listed, tmp_path):
-    write_found(tmp_path / "set", find_pairs(listed / "pairs.csv"))
-    pairs = read_pair_set(tmp_path / "set").pairs
+    pairs = written(tmp_path / "set", find_pairs(listed / "pairs.csv"))
     assert [pair.pair_id for pair in pairs] == [f"object0041.view01_object0041.view0{number}" for number in (2, 3)]
     for pair in pairs:
         assert_points(pair, *matches(12))
-    for name, message in (
-        ("zubud1", r"pairs\.csv: 2 pairs, ZuBuD1 has 137"),
-        ("zubud", "unknown set 'zubud'; .* zubud1"),
-    ):
-        with pytest.raises(DatasetError, match=message):
-            find_pairs(listed / "pairs.csv", known=name)
+    refused(DatasetError, r"pairs\.csv: 2 pairs, ZuBuD1 has 137", find_pairs, listed / "pairs.csv", known="zubud1")
+    refused(DatasetError, "unknown set 'zubud'; .* zubud1", find_pairs, listed / "pairs.csv", known="zubud")
     known = {known.name: known for known in known_sets()}
     assert known["zubud2"].scene("object0041.view01") == "object0041"
     assert known["blogs"].scene("corridor1") == "corridor"
@@ -251,8 +241,7 @@ def test_lists_with_matrices_that_count_from_one(listed, tmp_path, kind):
     # A matrix of a large scale, all digits
     np.savetxt(listed / "m.txt", 1e3 * from_one)
     (listed / "m.csv").write_text(f"image1,image2,{kind}\n{FIRST},{SECOND},m.txt\n")
-    write_found(tmp_path / "set", find_pairs(listed / "m.csv", origin=1.0))
-    (pair,) = read_pair_set(tmp_path / "set").pairs
+    (pair,) = written(tmp_path / "set", find_pairs(listed / "m.csv", origin=1.0))
     if kind == "homography":
         np.testing.assert_allclose(transfer(pair.homography(), x1), transfer(H, x1), atol=1e-6)
     else:
@@ -268,13 +257,11 @@ def test_damage_of_lists_is_named_and_points_that_fit_no_given_matrix_when_the_s
         (f"{FIRST},{SECOND}", r"t\.csv, line 2: 2 values for 3 columns"),
     ):
         (listed / "t.csv").write_text(f"image1,image2,points\n{row}\n")
-        with pytest.raises(DatasetError, match=message):
-            find_pairs(listed / "t.csv")
+        refused(DatasetError, message, find_pairs, listed / "t.csv")
     np.savetxt(listed / "F.txt", fundamental_from_cameras(*CAMERAS[::-1]))  # images in the other order
     (listed / "t.csv").write_text(f"image1,image2,points,fundamental\n{FIRST},{SECOND},a.txt,F.txt\n")
     message = r"pairs\.csv, line 2: the F .*view02\.txt of pair .* does not fit .*view02\.csv"
-    with pytest.raises(DatasetError, match=message):
-        write_found(tmp_path / "set", find_pairs(listed / "t.csv"))
+    refused(DatasetError, message, write_found, tmp_path / "set", find_pairs(listed / "t.csv"))
     assert not (tmp_path / "set").exists()
 
 
@@ -285,13 +272,10 @@ def test_rows_of_text_in_several_spellings(tmp_path):
         np.testing.assert_array_equal(read_rows(path, (4,)), [[1, 2, 3, 4]])
     path.write_text("")
     assert read_rows(path, (4, 6)).shape == (0, 4)
-    for content, message in (
-        ("1 2 3 4\n1 2 3 4 5 6\n", "line 2: 6 numbers, expected 4"),
-        ("1 2 nan 4\n", "line 1: 'nan'"),
-    ):
+    two_widths = ("1 2 3 4\n1 2 3 4 5 6\n", "line 2: 6 numbers, expected 4")
+    for content, message in (two_widths, ("1 2 nan 4\n", "line 1: 'nan'")):
         path.write_text(content)
-        with pytest.raises(DatasetError, match=message):
-            read_rows(path, (4, 6))
+        refused(DatasetError, message, read_rows, path, (4, 6))
 
 
 def test_smaller_images_take_everything_with_them(tmp_path):
@@ -303,8 +287,7 @@ def test_smaller_images_take_everything_with_them(tmp_path):
     points, matrix = (transfer(grow, x1), x2), F @ np.linalg.inv(grow)
     photographs = {name: importers.Photograph(name=path.stem, path=path) for name, path in images.items()}
     pair = importers.FoundPair(pair_id="p", scene="s", **photographs, points=points, fundamental=matrix)
-    write_found(tmp_path / "set", [pair], max_side=320)
-    (got,) = read_pair_set(tmp_path / "set").pairs
+    (got,) = written(tmp_path / "set", [pair], max_side=320)
     assert got.sizes() == ((320, 240), (320, 240))
     assert_points(got, x1, x2)
     np.testing.assert_allclose(got.fundamental(), normalise_fundamental(F), atol=1e-9)
@@ -312,10 +295,8 @@ def test_smaller_images_take_everything_with_them(tmp_path):
 
 def test_a_pair_set_is_not_overwritten_and_all_is_checked_before_anything_is_written(kusvod2, tmp_path):
     (pair,) = find_match_files("kusvod2", kusvod2)
-    with pytest.raises(OutputError, match="exists already"):
-        write_found(kusvod2, [pair])
-    with pytest.raises(DatasetError, match="no pair was found"):
-        write_found(tmp_path / "none", [])
+    refused(OutputError, "exists already", write_found, kusvod2, [pair])
+    refused(DatasetError, "no pair was found", write_found, tmp_path / "none", [])
     (tmp_path / "broken.png").write_bytes(pair.image1.path.read_bytes()[:60])
     broken = importers.Photograph(name="broken", path=tmp_path / "broken.png")
     same = {"pair_id": "other", "image1": importers.Photograph(name="shoutA", path=pair.image2.path)}
@@ -325,8 +306,7 @@ def test_a_pair_set_is_not_overwritten_and_all_is_checked_before_anything_is_wri
         ({"pair_id": "a/b"}, DatasetError, "pair 'a/b'"),
         ({"pair_id": 200 * "é"}, DatasetError, "250 bytes"),
     ):
-        with pytest.raises(kind, match=message):
-            write_found(tmp_path / "new", [pair, dataclasses.replace(pair, **change)])
+        refused(kind, message, write_found, tmp_path / "new", [pair, dataclasses.replace(pair, **change)])
     assert not list(tmp_path.glob("n*"))
 
 
@@ -334,8 +314,7 @@ def test_names_of_any_bytes_are_kept_and_files_of_macos_are_skipped(kusvod2, tmp
     for ending in ("A.png", "B.png", "_vpts.mat"):
         (kusvod2 / f"shout{ending}").rename(kusvod2 / os.fsdecode(b"caf\xe9, 1 of 4" + ending.encode()))
         (kusvod2 / f"._shout{ending}").write_bytes(b"attributes")
-    write_found(tmp_path / "set", find_match_files("kusvod2", kusvod2))
-    (pair,) = read_pair_set(tmp_path / "set").pairs
+    (pair,) = written(tmp_path / "set", find_match_files("kusvod2", kusvod2))
     assert (pair.pair_id, pair.image1.name) == ("café, 1 of 4", "café, 1 of 4A.png")
     assert_points(pair, *matches())
 

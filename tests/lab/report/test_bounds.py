@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calls import refused
 from epiprior_lab.report.bounds import BOUNDS, Bound, bound_rows, judge, load_bounds
 from epiprior_lab.report.results import ReportError
 
@@ -44,8 +45,7 @@ def test_a_contribution_is_met_by_its_value_and_not_without_pairs(photographs):
     assert words[0] == "usac gains at least +60 % over X_L: hard pairs, 10 px"
     assert words[1:] == ["+60 % [-40 %, +160 %]; +100 % if it solved every pair", "yes"]
     assert not one(photographs.results, wanted, successes=successes(usac=0.59))[0]["met"]
-    with pytest.raises(ReportError, match="no results of usac on hard"):
-        one(photographs.results, wanted, successes=successes(beem=0.6))
+    refused(ReportError, "no results of usac on hard", one, photographs.results, wanted, successes=successes(beem=0.6))
     wanted = bound("contribution", group="open", estimator="usac", at_least=0.1)
     row, words = one(photographs.results, wanted, successes=successes(usac=1.0))
     assert not row["met"]
@@ -68,9 +68,7 @@ def test_every_estimator_has_to_keep_to_a_bound_and_a_duel_is_met_by_intervals(p
     assert not one(photographs.results, wanted, duels=duels(0.5, 0.0))[0]["met"]
 
 
-def test_the_best_peer_is_chosen_in_hindsight_and_the_bounds_of_the_repository_are_judged(
-    photographs, photograph_report, tmp_path
-):
+def test_the_best_peer_is_chosen_in_hindsight_and_our_bounds_are_judged(photographs, photograph_report, tmp_path):
     table = photograph_report[0]["successes"]
     hard = table[(table["group"] == "hard") & (table["threshold_px"] == 10)]
     peer = hard[hard["input"] != "default"]["successes"].max()
@@ -90,5 +88,4 @@ def test_the_best_peer_is_chosen_in_hindsight_and_the_bounds_of_the_repository_a
     assert bound_rows(judged)[0][0] == "precision of the top 100 at least +0.18 over X_L: all pairs"
     for text in ("- {pipeline: study, measure: luck, group: all}", "- {wish: 1}", "[", ""):
         (tmp_path / "bounds.yaml").write_text(text)
-        with pytest.raises(ReportError, match=r"bounds\.yaml"):
-            load_bounds(tmp_path / "bounds.yaml", "study")
+        refused(ReportError, r"bounds\.yaml", load_bounds, tmp_path / "bounds.yaml", "study")

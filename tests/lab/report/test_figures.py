@@ -26,8 +26,7 @@ def test_means_of_few_runs_are_hollow(drawn):
 def test_shares_of_few_runs_have_no_bar_and_the_tallest_ends_below_the_top(drawn):
     counts = {"right": [29, 30], "right_no_model": [9, 6], "right_degenerate": [9, 9]}
     counts |= {"wrong": [30, 0], "wrong_no_model": [3, 0], "wrong_degenerate": [3, 0]}
-    table = pd.DataFrame({"group": ["easy", "hard"], "input": "snn", **counts})
-    figures.status_figure(table, ["easy", "hard"], None)
+    figures.status_figure(pd.DataFrame({"group": ["easy", "hard"], "input": "snn", **counts}), ["easy", "hard"], None)
     right, wrong = drawn[0].axes
     assert sorted(bar.get_y() + bar.get_height() for bar in right.patches) == pytest.approx([0, 0, 30, 50])
     assert 50 < right.get_ylim()[1] < 60

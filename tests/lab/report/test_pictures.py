@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import pytest
 
+from calls import refused
 from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.report.pictures import _caption, contact_sheet
 from worlds import camera_pair
@@ -25,11 +25,9 @@ def test_every_pair_is_on_the_sheet_and_none_or_unreadable_ones_are_errors(tmp_p
     for colour in colours:
         assert (image == colour).all(axis=1).sum() > 2000, colour
     assert contact_sheet(sheets, path).read_bytes() == path.read_bytes()
-    with pytest.raises(DatasetError, match="no pairs"):
-        contact_sheet({"open": []}, tmp_path / "sheet.png")
+    refused(DatasetError, "no pairs", contact_sheet, {"open": []}, tmp_path / "sheet.png")
     pair = pair_of(tmp_path, "p", (9, 9, 9))
     pair.image2.write_text("no image")
-    with pytest.raises(DatasetError, match=r"p_2\.png"):
-        contact_sheet({"open": [pair]}, tmp_path / "sheet.png")
+    refused(DatasetError, r"p_2\.png", contact_sheet, {"open": [pair]}, tmp_path / "sheet.png")
     for roll, shown in ((348, -12), (180, 180), (181, -179), (0, 0), (-7, -7)):  # at most half a turn
         assert _caption(replace(pair, difficulty=f"overlap=0.50;roll={roll}deg")) == f"overlap 0.50   roll {shown}°"

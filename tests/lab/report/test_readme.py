@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from calls import refused
 from epiprior_lab.cli import app
 from epiprior_lab.params import PHOTOGRAPHS
 from epiprior_lab.report import readme
@@ -32,9 +33,8 @@ def root(tmp_path, photograph_report):
 
 def test_the_table_is_the_small_one_of_the_report_and_the_command_writes_what_changed(root, photograph_report):
     got = readme.render_readme(TEXT, root)
-    assert got.startswith(
-        "before\n<!-- results -->\n| matches | estimator | features | seconds | all pairs (12), 10 px |"
-    )
+    head = "| matches | estimator | features | seconds | all pairs (12), 10 px |"
+    assert got.startswith(f"before\n<!-- results -->\n{head}")
     assert got.endswith("|\n<!-- /results -->\nafter\n")
     lines = got.splitlines()[2:-2]
     assert len(lines) == 2 + 7
@@ -54,11 +54,9 @@ def test_the_table_is_the_small_one_of_the_report_and_the_command_writes_what_ch
 
 def test_bad_markers_and_a_missing_report_are_named(root):
     for text in ("nothing", TEXT + TEXT, "<!-- results -->\nold\n"):
-        with pytest.raises(readme.ReadmeError, match="expected 1"):
-            readme.render_readme(text, root)
+        refused(readme.ReadmeError, "expected 1", readme.render_readme, text, root)
     (root / readme.TABLES / "cascade.csv").unlink()
-    with pytest.raises(ReportError, match=r"cascade\.csv"):
-        readme.render_readme(TEXT, root)
+    refused(ReportError, r"cascade\.csv", readme.render_readme, TEXT, root)
 
 
 def test_the_table_of_the_readme_is_that_of_the_committed_report():

@@ -108,8 +108,7 @@ def test_a_rule_has_a_margin_and_held_out_shares_show_one_that_one_scene_decides
     found = learn_rule(runs_of([*right, ("w", 0.49, 50.0, 1.0)]), PARAMS, **AT)
     assert found.rule == CascadeRule(min_confidence=0.75)
     assert found.outcomes.loc[ALL, "preprocessed"] == pytest.approx(11 / 21)
-    far = learn_rule(runs_of([*right, ("w", 0.2, 50.0, 1.0)]), PARAMS, **AT)
-    assert far.rule == CascadeRule(min_confidence=0.5)
+    assert learn_rule(runs_of([*right, ("w", 0.2, 50.0, 1.0)]), PARAMS, **AT).rule == CascadeRule(min_confidence=0.5)
     # The only wrong answer that is plausible: without its scene, the rule would keep it.
     rows = [(f"{p}-{i}", p, 1.0, 1.0) for p in (0.8, 0.4) for i in range(30)]
     found = learn_rule(runs_of([*rows, ("bad", 0.4, 90.0, 1.0)]), PARAMS, **AT)

@@ -33,8 +33,7 @@ def test_platt_finds_the_distortion_and_the_sigmoid_is_that_of_unpenalised_logis
 def test_platt_is_strictly_increasing_and_finite_for_separated_classes():
     calibrated = Platt(0.7, -0.3)(np.linspace(0, 1, 1001))
     assert (np.diff(calibrated) > 0).all()
-    assert calibrated[0] > 0
-    assert calibrated[-1] < 1
+    assert 0 < calibrated[0] < calibrated[-1] < 1
     a, b = fit_sigmoid(np.arange(20.0), np.arange(20) >= 10)
     assert 0 < a < 100
     assert -b / a == pytest.approx(9.5, abs=0.1)

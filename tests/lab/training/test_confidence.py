@@ -27,9 +27,8 @@ def test_whatever_a_pair_is_made_of_is_in_one_block():
 
 def facts(kind, right, name, value=0.5):
     case = KindCase(name=name, block="0", kind=kind, seed=0)
-    return CaseFacts(
-        case=case, rows=np.full((len(right), len(COLUMNS)), value, np.float32), right=np.array(right, bool)
-    )
+    rows = np.full((len(right), len(COLUMNS)), value, np.float32)
+    return CaseFacts(case=case, rows=rows, right=np.array(right, bool))
 
 
 def test_every_row_comes_again_without_what_others_may_lack_and_few_unrelated_pairs_reach_the_default():

@@ -19,8 +19,7 @@ def learn(monkeypatch, ratios, labels):
 
 
 def test_every_pair_counts_alike_and_one_without_right_matches_tells_only_of_wrong_ones(monkeypatch):
-    labels = [[True, False, False, True], [True, False]]
-    right, wrong = learn(monkeypatch, [[0.3, 0.9, 0.95, 0.4], [0.8, 0.99]], labels)
+    right, wrong = learn(monkeypatch, [[0.3, 0.9, 0.95, 0.4], [0.8, 0.99]], [[True, False, False, True], [True, False]])
     np.testing.assert_allclose(right, (density(np.array([0.3, 0.4])) + density(np.array([0.8]))) / 2)
     np.testing.assert_allclose(wrong, (density(np.array([0.9, 0.95])) + density(np.array([0.99]))) / 2)
     right, wrong = learn(monkeypatch, [[0.5, 0.9], [0.7, 0.8]], [[True, False], [False, False]])
@@ -33,10 +32,8 @@ def test_only_training_scenes_are_read(monkeypatch, tmp_path, capsys):
         (tmp_path / "data" / "scenes" / split / "open").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ratio_densities, "read_pair_set", lambda folder: SimpleNamespace(pairs=[folder.as_posix()]))
-    monkeypatch.setattr(
-        ratio_densities, "learn_densities", lambda pairs: asked.extend(pairs) or (np.ones(3), np.zeros(3))
-    )
-    asked = []
+    asked, found = [], (np.ones(3), np.zeros(3))
+    monkeypatch.setattr(ratio_densities, "learn_densities", lambda pairs: asked.extend(pairs) or found)
     ratio_densities.main()
     assert asked == ["data/scenes/train/open"]
     assert capsys.readouterr().out.startswith("DENSITY_IN [1.0000")
