@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from collections_fakes import in_this_process, small_images
+from epiprior import match_collection
+from epiprior.collection.report import write_report
 from epiprior.collection.store import MatchedPair
 from epiprior.collection.verify import CONTRADICTS, MIN_CALIBRATED, judge_pairs, under_cameras
 from synthetic import FOCAL, HEIGHT, WIDTH, K, make_pair
@@ -92,3 +95,20 @@ def test_pairs_are_left_out_by_confidence_and_focal_lengths_unless_most_contradi
     assert [pair.geometry for pair, _ in found] == ["UNCALIBRATED"] * 3
     assert judged([right, unknown], told) == ["", ""]
     assert len(told) == 2
+
+
+def test_the_report_says_which_images_have_pairs_that_contradict(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    small_images(tmp_path / "set", ("a.png", "b.png"))
+    found = match_collection(tmp_path / "set")
+
+    def one_against(matched, least, tell):
+        tell("1 of 1 pairs contradict")
+        return [(pair, CONTRADICTS) for pair in matched]
+
+    monkeypatch.setattr("epiprior.collection.report.judge_pairs", one_against)
+    write_report(tmp_path / "report.html", found, [], 0.5)
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("no pair has a geometry, 1 contradict the focal lengths") == 2
+    assert "0 of 1 pairs have a geometry. 1 of 1 pairs contradict" in page
+    assert f"not written: {CONTRADICTS}" in page
