@@ -92,7 +92,8 @@ wheel: $(READY)  ## build the wheel, with the models in it, into dist/
 clean:  ## remove data, DVC's cache and MLflow's records (models and reports stay)
 	rm -rf data .dvc/cache .dvc/tmp mlflow.db mlartifacts mlruns dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
-# The environment is made anew when the content of the lock changes, the package is installed again when its metadata changes.
+# The environment is made anew when the content of the lock changes, the package is installed again when its metadata
+# changes.
 define check-python
 if ! "$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then \
 	echo "epiprior needs Python 3.11 or newer; found $(or $(PYTHON),none). Set PYTHON=/path/to/python3.11" >&2; exit 1; fi

@@ -219,5 +219,6 @@ def _match_pairs(
 
     for pair, (without, found) in run_tasks(pool, match_pair, jobs()):
         store.write(plain.key(pair), without)
-        store.write(matched.key(pair), found)
+        if matched.cameras_of(pair) is not None:
+            store.write(matched.key(pair), found)
         ready(found)
