@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from epiprior.errors import ModelError as ModelError
     from epiprior.errors import OutputError as OutputError
     from epiprior.errors import SettingsError as SettingsError
+    from epiprior.estimators.essential import Intrinsics as Intrinsics
     from epiprior.estimators.handover import HandOver as HandOver
     from epiprior.estimators.registry import list_estimators as list_estimators
     from epiprior.explain import Explanation as Explanation
@@ -55,6 +56,7 @@ _NAMES = {
     "errors": (
         "EpipriorError", "EstimatorError", "FeatureError", "ImageError", "ModelError", "OutputError", "SettingsError",
     ),
+    "estimators.essential": ("Intrinsics",),
     "estimators.handover": ("HandOver",),
     "estimators.registry": ("list_estimators",),
     "explain": ("Explanation", "explain_match"),

@@ -6,6 +6,7 @@ from typing import Any, get_args
 
 from epiprior.errors import ImageError, SettingsError
 from epiprior.estimators import find_estimator
+from epiprior.estimators.essential import Intrinsics
 from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.estimators.run import estimate_from_matches
 from epiprior.features.images import Photograph, View, blank_photograph, load_photograph
@@ -37,6 +38,7 @@ def estimate_fundamental(
     rule: CascadeRule | None = None,
     settings: PreprocessSettings | None = None,
     min_confidence: float | None = None,
+    intrinsics: tuple[Intrinsics, Intrinsics] | None = None,
 ) -> FundamentalEstimate:
     """Estimate the fundamental matrix of two photographs.
 
@@ -60,6 +62,8 @@ def estimate_fundamental(
     settings : Instead of the preset's. Standard matches are made of the same features.
     min_confidence : The status is ``ok`` from this confidence on, in [0, 1], instead of the one that about one in a
         hundred pairs of photographs of different places reaches.
+    intrinsics : What is known of both cameras, pixels of the images as given. The result is as without, and its
+        `calibrated` the estimate under these: an essential matrix of the same matches, and its F.
 
     Returns
     -------
@@ -97,13 +101,21 @@ def estimate_fundamental(
         factor1, factor2 = (blank_photograph((round(w), round(h)), limit).factor for w, h in sizes)
         factors = factor1, factor2
         result = estimate_from_matches(
-            sets, estimator=estimator, seed=seed, hand_over=how, pixel_factors=factors, min_confidence=min_confidence
+            sets,
+            estimator=estimator,
+            seed=seed,
+            hand_over=how,
+            pixel_factors=factors,
+            min_confidence=min_confidence,
+            intrinsics=intrinsics,
         )
+        calibrated = result.calibrated and replace(result.calibrated, input=kind)
         message = result.message
         if result.status is Status.TOO_FEW_MATCHES:
             why = explain_shortage((image1, image2), (features1, features2), chosen.features)
             message += f"; {why}" if why else ""
-        return replace(result, input=kind, message=message, seconds={**seconds, **result.seconds})
+        steps = {**seconds, **result.seconds}
+        return replace(result, input=kind, message=message, calibrated=calibrated, seconds=steps)
 
     first = None
     if mode != "preprocess":

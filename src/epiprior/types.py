@@ -228,6 +228,9 @@ class FundamentalEstimate:
         all over what both images show is below 10 pixels in the mean, at working size. NaN without F.
     geometry : What relates the images, see `Geometry`.
     H : (3, 3) float64. The homography ``x2 ~ H x1`` of the kinds that have one, Frobenius norm 1; else None.
+    E : (3, 3) float64. The essential matrix that `F` belongs to; None without known intrinsics.
+    calibrated : The estimate on the same matches under known intrinsics, where these were given and a general F has
+        a chance: its F comes from an essential matrix, and holds for points without distortion.
     iterations : Number of hypotheses, where the backend tells.
     estimator, version : Name in the registry, and the backend's package and version.
     roll_deg : The roll hypothesis of `F`, degrees.
@@ -247,6 +250,8 @@ class FundamentalEstimate:
     confidence: float = math.nan
     geometry: Geometry = Geometry.NONE
     H: FloatArray | None = None
+    E: FloatArray | None = None
+    calibrated: FundamentalEstimate | None = None
     version: str = ""
     iterations: int | None = None
     roll_deg: float = 0.0
@@ -259,8 +264,10 @@ class FundamentalEstimate:
 
     def swapped(self) -> FundamentalEstimate:
         """Return the same with the two images in the other order."""
-        F, H = None if self.F is None else np.ascontiguousarray(self.F.T), self.H
+        F, E = (None if M is None else np.ascontiguousarray(M.T) for M in (self.F, self.E))
+        calibrated, H = self.calibrated and self.calibrated.swapped(), self.H
         if H is not None:
             back: FloatArray = np.linalg.inv(H).astype(np.float64)
             H = back / np.linalg.norm(back)
-        return replace(self, F=F, H=H, x1=self.x2, x2=self.x1, roll_deg=0.0 - self.roll_deg)
+        both = replace(self, x1=self.x2, x2=self.x1, roll_deg=0.0 - self.roll_deg)
+        return replace(both, F=F, H=H, E=E, calibrated=calibrated)

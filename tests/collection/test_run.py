@@ -79,14 +79,7 @@ def test_pairs_are_read_as_they_were_kept_and_those_of_another_version_are_forgo
         old.execute("CREATE TABLE pairs (key, image1, PRIMARY KEY (key)) WITHOUT ROWID")
         old.execute("INSERT INTO pairs VALUES (?, 'a')", (b"k",))
     M, rows = np.arange(9.0).reshape(3, 3), np.array([[1, 2], [3, 4]])
-    known = {
-        "geometry": "CALIBRATED",
-        "confidence": 0.9,
-        "guided": 1,
-        "calibrated": 0.95,
-        "input": "snn",
-        "seconds": 0.5,
-    }
+    known = {"geometry": "CALIBRATED", "confidence": 0.9, "guided": 1, "input": "snn", "seconds": 0.5}
     pair = MatchedPair(image1="a", image2="b", status="ok", F=M, E=2 * M, matches=rows, **known)
     with contextlib.closing(PairStore(tmp_path / "pairs.db")) as store:
         assert b"k" not in store
@@ -96,24 +89,23 @@ def test_pairs_are_read_as_they_were_kept_and_those_of_another_version_are_forgo
             np.testing.assert_array_equal(value, getattr(pair, name))
 
 
-def test_other_cameras_are_asked_anew_but_nothing_is_matched(tmp_path, monkeypatch):
+def test_pairs_are_kept_without_and_under_their_cameras(tmp_path, monkeypatch):
     estimation = in_this_process(monkeypatch)
     small_images(tmp_path / "set")
     how = {"work": tmp_path / "work", "pairs": "sequential:1"}
-    assert [pair.calibrated for pair in match_collection(tmp_path / "set", **how)] == [None, None]
     camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 300, 200, 150)
     camera.has_prior_focal_length = True
     known = match_collection(tmp_path / "set", **how, cameras={"a.png": camera, "b.png": camera})
-    first, second = known
-    assert first.calibrated is not None
-    assert second.calibrated is None
+    assert [call["intrinsics"] is not None for call in estimation.calls] == [True, False]
+    assert [pair.F is not None for pair in known.plain] == [True, True]
+    match_collection(tmp_path / "set", **how)
     assert len(estimation.calls) == 2
     other = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 900, 200, 150)
     other.has_prior_focal_length = True
     keys = {known.key((0, 1)), known.plain.key((0, 1))}
     keys.add(match_collection(tmp_path / "set", **how, cameras={"a.png": camera, "b.png": other}).key((0, 1)))
     assert len(keys) == 3
-    assert len(estimation.calls) == 2
+    assert len(estimation.calls) == 3
 
 
 def test_pairs_without_geometry_have_no_matches(tmp_path, monkeypatch):

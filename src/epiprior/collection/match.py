@@ -3,25 +3,25 @@
 import functools
 import hashlib
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from epiprior.collection.features import StoredFeatures, first_rows, read_features
+from epiprior.collection.features import first_rows, read_features
 from epiprior.collection.images import CollectionImage
 from epiprior.collection.store import MatchedPair
-from epiprior.collection.verify import under_cameras
 from epiprior.collection.workers import installation
+from epiprior.estimators.essential import Intrinsics
 from epiprior.features.images import blank_photograph
-from epiprior.io.colmap import configuration_of
+from epiprior.io.colmap import configuration_of, intrinsics_of
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.matching.guided import guided_matches
 from epiprior.presets import Mode, PreprocessSettings, check_choice
 from epiprior.two_view import estimate_fundamental
-from epiprior.types import Features, FloatArray, IntArray
+from epiprior.types import Features, FloatArray, FundamentalEstimate, IntArray
 
 _SAME_PLACE_PX = 0.01
 _GUIDED_PX = 2.0  # working pixels
@@ -52,29 +52,34 @@ def match_pair(
     files: tuple[Path, Path],
     how: MatchSettings,
     cameras: tuple[Any, Any] | None = None,
-    matched: MatchedPair | None = None,
 ) -> tuple[MatchedPair, MatchedPair]:
     """Match two images whose features are in files: a task.
 
     Returns the pair without and under its `cameras`, of pycolmap, whose focal lengths are known; twice the same where
-    they are not. The first may be `matched` already.
+    they are not, or no essential matrix was found.
     """
-    stored = _read(files[0]), _read(files[1])
-    matched = matched or _match(images, stored, how)
-    if cameras is None:
-        return matched, matched
-    xy, limit = (stored[0].features.xy, stored[1].features.xy), how.settings.features.max_image_size
-    return matched, under_cameras(matched, cameras, xy, max_image_size=limit, seed=how.seed)
-
-
-def _match(
-    images: tuple[CollectionImage, CollectionImage], stored: tuple[StoredFeatures, StoredFeatures], how: MatchSettings
-) -> MatchedPair:
-    """Match two images; an F that comes from simple matches gets those along its lines, which ranked ones have."""
     start = time.perf_counter()
+    stored = _read(files[0]), _read(files[1])
     view1, view2 = (one.view(image, how.settings.features) for one, image in zip(stored, images, strict=True))
-    first, second = (one.features for one in stored)
-    found = estimate_fundamental(view1, view2, features1=first, features2=second, **vars(how))
+    both = stored[0].features, stored[1].features
+    known = None if cameras is None else (intrinsics_of(cameras[0]), intrinsics_of(cameras[1]))
+    found = estimate_fundamental(view1, view2, features1=both[0], features2=both[1], intrinsics=known, **vars(how))
+    plain = _gather(images, both, found, how, start)
+    if known is None or found.calibrated is None:
+        return plain, plain
+    return plain, _gather(images, both, found.calibrated, how, start, known)
+
+
+def _gather(
+    images: tuple[CollectionImage, CollectionImage],
+    features: tuple[Features, Features],
+    found: FundamentalEstimate,
+    how: MatchSettings,
+    start: float,
+    intrinsics: tuple[Intrinsics, Intrinsics] | None = None,
+) -> MatchedPair:
+    """Return a pair; an F that comes from simple matches gets those along its lines, which ranked ones have."""
+    first, second = features
     geometry = configuration_of(found)
     inliers = np.flatnonzero(found.inliers) if geometry else np.empty(0, np.int64)
     rows = np.column_stack([_rows_of(first, found.x1[inliers]), _rows_of(second, found.x2[inliers])])
@@ -83,7 +88,9 @@ def _match(
     if found and found.F is not None and found.input != how.settings.name:
         limit = how.settings.features.max_image_size
         factors = blank_photograph(first.image_size, limit).factor, blank_photograph(second.image_size, limit).factor
-        more = guided_matches(first, second, found.F, threshold_px=_GUIDED_PX, factors=factors)
+        camera1, camera2 = intrinsics or (None, None)
+        straight = _undistorted(first, camera1), _undistorted(second, camera2)
+        more = guided_matches(*straight, found.F, threshold_px=_GUIDED_PX, factors=factors)
         rows = np.concatenate([rows, np.column_stack([first_rows(first)[more[:, 0]], first_rows(second)[more[:, 1]]])])
         rows = rows[one_to_one_mask(*rows.T)]
     return MatchedPair(
@@ -95,11 +102,18 @@ def _match(
         confidence=found.confidence if found else float(bool(geometry)),
         F=found.F if found else None,
         H=found.H,
+        E=found.E,
         matches=rows,
         guided=len(rows) - own,
         input=found.input,
         seconds=time.perf_counter() - start,
     )
+
+
+def _undistorted(features: Features, camera: Intrinsics | None) -> Features:
+    if camera is None or camera.undistort is None:
+        return features
+    return replace(features, xy=camera.undistort(features.xy.astype(np.float64)).astype(np.float32))
 
 
 def _rows_of(features: Features, xy: FloatArray) -> IntArray:

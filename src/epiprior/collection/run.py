@@ -108,8 +108,8 @@ def match_collection(
         default exhaustive up to 200 images, else ``similar:20``.
     mode, estimator, preset, settings, seed, threshold_px : As for `epiprior.estimate_fundamental`.
     mask_path : A folder of masks, as COLMAP takes them.
-    cameras : By name of the image, of pycolmap. Where those of both images have a prior focal length, an essential
-        matrix is estimated on the inliers of F; see `epiprior.collection.verify`.
+    cameras : By name of the image, of pycolmap. Where those of both images have a prior focal length, F comes from an
+        essential matrix of the same matches; see `epiprior.collection.verify`.
     work : A folder that keeps features and matches: with the same folder, a run that was killed goes on. Made if
         absent; by default a temporary one, which is removed with the result.
     workers : Processes; by default as many as this process may use cores.
@@ -200,7 +200,7 @@ def _feature_file(work: Path, key: str) -> Path:
 def _match_pairs(
     pool: Pool, matched: MatchedCollection, on_pair: OnPair | None, on_progress: OnProgress | None
 ) -> None:
-    images, store, plain = matched.images.images, matched.store, matched.plain
+    images, store = matched.images.images, matched.store
     count = _counting(on_progress, "pairs", len(matched))
 
     def ready(pair: MatchedPair) -> None:
@@ -214,11 +214,10 @@ def _match_pairs(
                 ready(store.read(matched.key(pair)))
                 continue
             both = [(images[place], matched.file(place)) for place in pair]
-            known = store.read(plain.key(pair)) if plain.key(pair) in store else None
-            yield pair, (*zip(*both, strict=True), matched.how, matched.cameras_of(pair), known)
+            yield pair, (*zip(*both, strict=True), matched.how, matched.cameras_of(pair))
 
     for pair, (without, found) in run_tasks(pool, match_pair, jobs()):
-        store.write(plain.key(pair), without)
+        store.write(matched.plain.key(pair), without)
         if matched.cameras_of(pair) is not None:
             store.write(matched.key(pair), found)
         ready(found)

@@ -12,7 +12,7 @@ from epiprior.errors import OutputError
 from epiprior.types import FloatArray, IntArray
 
 _MATRICES = ("F", "H", "E")
-_PLAIN = ["image1", "image2", "status", "message", "geometry", "confidence", "guided", "calibrated", "input", "seconds"]
+_PLAIN = ["image1", "image2", "status", "message", "geometry", "confidence", "guided", "input", "seconds"]
 _COLUMNS = ", ".join(("key", *_MATRICES, "matches", *_PLAIN))
 
 
@@ -27,10 +27,9 @@ class MatchedPair:
     geometry : COLMAP's name of the configuration, such as ``UNCALIBRATED`` or ``PLANAR``; empty if there is none.
     confidence : That F is right, in [0, 1]; 1 where a homography relates the images.
     F, H : (3, 3) float64, pixels, the centre of the top-left pixel at (0, 0); None where not found.
-    E : (3, 3) float64, the essential matrix under focal lengths that are known; None without.
+    E : (3, 3) float64, the essential matrix that F belongs to where both focal lengths are known; None without.
     matches : (M, 2) int64. Inliers, one-to-one: rows of the keypoints of both images; empty without a geometry.
     guided : So many of them, the last, were gathered along the epipolar lines of F.
-    calibrated : Share of the other inliers of F that an essential matrix keeps; None where a focal length is not known.
     input : What the estimate comes from: ``snn``, ``standard`` or the preset.
     seconds : Wall time.
     """
@@ -46,7 +45,6 @@ class MatchedPair:
     E: FloatArray | None = None
     matches: IntArray
     guided: int = 0
-    calibrated: float | None = None
     input: str = ""
     seconds: float = 0.0
 

@@ -5,13 +5,14 @@ same, F transposed. Estimators draw samples and break ties by the order of numbe
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from epiprior.errors import SettingsError
+from epiprior.estimators.essential import WORTH, Intrinsics, essential_matrices
 from epiprior.estimators.evidence import SpreadEvidence
 from epiprior.estimators.handover import HandOver, hand_over
 from epiprior.estimators.protocol import EstimatorSettings
@@ -19,6 +20,7 @@ from epiprior.estimators.registry import Fit, fit, with_checked_points
 from epiprior.geometry import MIN_MATCHES, normalise_fundamental, refine_fundamental, sampson_distance
 from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, Geometry, MatchSet, Status
 from epiprior.verification import degeneracy
+from epiprior.verification.cascade import FLAT
 from epiprior.verification.chance import chance_rate, distinct_count
 from epiprior.verification.confidence import MESSAGES, Verdict, judge, load_confidence
 from epiprior.verification.facts import Facts, chance_of_homography, describe_estimate
@@ -32,7 +34,7 @@ class _Ready:
     """The matches of one roll hypothesis, in working pixels, with all that is the same for every estimate on them."""
 
     def __init__(self, matches: MatchSet, how: HandOver) -> None:
-        self.matches, self.handed = matches, hand_over(matches, how)
+        self.matches, self.how, self.handed = matches, how, hand_over(matches, how)
         self.wide = self.evidence.single if how.collect else self.handed
         self.weights = np.nan_to_num(self.wide.probability, nan=1.0)
 
@@ -88,6 +90,7 @@ def estimate_from_matches(
     settings: EstimatorSettings | None = None,
     pixel_factors: Factors = (1.0, 1.0),
     min_confidence: float | None = None,
+    intrinsics: tuple[Intrinsics, Intrinsics] | None = None,
 ) -> FundamentalEstimate:
     """Run an estimator on each of the sets, one per roll hypothesis, and return the best supported F.
 
@@ -95,8 +98,9 @@ def estimate_from_matches(
     `pixel_factors` are given pixels per working pixel in both images. `settings` replaces the estimator's own with the
     threshold of `hand_over`, and `min_confidence` the confidence from which on the status is ``ok``. Sets that
     `ready_matches` has made ready with this hand-over save time; their factors hold. `iterations` of the result adds up
-    over the sets. Raises what `epiprior.estimators.fit` and `load_confidence` raise, and SettingsError
-    without any set.
+    over the sets. Under known `intrinsics`, of the images in given pixels, `calibrated` of the result is the surer of
+    `essential_matrices`, by the same facts. Raises what `epiprior.estimators.fit` and `load_confidence` raise, and
+    SettingsError without any set.
 
     Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F decides,
     each weighted by its probability and each part of the images once, times the plausibility of the cameras
@@ -106,21 +110,41 @@ def estimate_from_matches(
     ready = sets if isinstance(sets, ReadyMatches) else ready_matches(sets, hand_over, pixel_factors)
     start = time.perf_counter() - ready.seconds
     tried, best = _try_all(ready, estimator, seed, hand_over, options)
-    px, collected = options.threshold_px, best.collected
+    answer = partial(_answer, tried, ready, options.threshold_px, min_confidence, estimator)
+    estimate = answer(best)
+    if intrinsics and estimate.confidence >= WORTH and estimate.geometry not in FLAT:
+        estimate = replace(
+            estimate, calibrated=_calibrated(answer, best, ready, intrinsics, options.threshold_px, seed)
+        )
+    running = sum(hypothesis.found.seconds for hypothesis in tried)
+    estimate = replace(estimate, seconds={"estimator": running, "support": time.perf_counter() - start - running})
+    return estimate.swapped() if ready.turned else estimate
+
+
+def _answer(
+    tried: Sequence[_Hypothesis],
+    ready: ReadyMatches,
+    px: float,
+    min_confidence: float | None,
+    estimator: str,
+    best: _Hypothesis,
+    E: FloatArray | None = None,
+) -> FundamentalEstimate:
+    """Return what is said of the best hypothesis, with the images in the order of `ready`."""
+    collected = best.collected
     H, kind = _homography(best, px)
     if best.F is None:
         verdict = _without_fundamental(tried, best, kind)
     else:
         verdict = judge(_facts(tried, best, H, px), kind, load_confidence(), min_confidence)
-    flat = verdict.geometry not in (Geometry.GENERAL, Geometry.NONE)
+    flat = verdict.geometry in FLAT
     inliers = np.zeros(len(collected), np.bool_)
     if flat and H is not None:
         inliers = _on_homography(H, collected, px)
     elif best.F is not None:
         inliers = sampson_distance(best.F, collected.x1, collected.x2) < px
     drawn = [hypothesis.found.iterations for hypothesis in tried]
-    running = sum(hypothesis.found.seconds for hypothesis in tried)
-    estimate = FundamentalEstimate(
+    return FundamentalEstimate(
         status=verdict.status,
         F=None if best.F is None else _to_given_pixels(best.F, ready.factors),
         x1=collected.x1 * ready.factors[0],
@@ -130,14 +154,45 @@ def estimate_from_matches(
         confidence=verdict.confidence,
         geometry=verdict.geometry,
         H=_homography_in_given_pixels(H, ready.factors) if flat and H is not None else None,
+        E=E,
         iterations=sum(n for n in drawn if n is not None) if any(n is not None for n in drawn) else None,
         estimator=estimator,
         version=best.found.version,
         roll_deg=best.ready.matches.roll_deg,
         message=verdict.message,
-        seconds={"estimator": running, "support": time.perf_counter() - start - running},
     )
-    return estimate.swapped() if ready.turned else estimate
+
+
+def _calibrated(
+    answer: Callable[..., FundamentalEstimate],
+    best: _Hypothesis,
+    ready: ReadyMatches,
+    intrinsics: tuple[Intrinsics, Intrinsics],
+    px: float,
+    seed: int,
+) -> FundamentalEstimate | None:
+    """Return the surest estimate from an essential matrix of the collected matches; None where there is none."""
+    given = intrinsics[::-1] if ready.turned else intrinsics
+    both = [camera.in_working_pixels(factor) for camera, factor in zip(given, ready.factors, strict=True)]
+    straight, collected = best, best.collected
+    if any(camera.undistort for camera in both):
+        own = _undistorted(best.ready.matches, both)
+        straight = replace(best, ready=_Ready(own, best.ready.how), collected=_undistorted(collected, both))
+    x1, x2, K1, K2 = straight.collected.x1, straight.collected.x2, both[0].K, both[1].K
+    matrices = essential_matrices(x1, x2, K1, K2, threshold_px=px, seed=seed)
+    found = [answer(replace(straight, F=F), E) for E, F in matrices]
+    if not found:
+        return None
+    surest = max(found, key=lambda estimate: estimate.confidence)
+    return replace(surest, x1=collected.x1 * ready.factors[0], x2=collected.x2 * ready.factors[1])
+
+
+def _undistorted(matches: MatchSet, cameras: Sequence[Intrinsics]) -> MatchSet:
+    x1, x2 = (
+        camera.undistort(x) if camera.undistort else x
+        for camera, x in zip(cameras, (matches.x1, matches.x2), strict=True)
+    )
+    return replace(matches, x1=x1, x2=x2)
 
 
 def describe_from_matches(

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from epiprior.errors import ImageError, OutputError, require
+from epiprior.estimators.essential import Intrinsics
 from epiprior.features.images import read_image
 from epiprior.io.output import check_output, replacing
 from epiprior.kernels.one_to_one import one_to_one_mask
@@ -248,26 +249,21 @@ def add_pair(
     database.write_two_view_geometry(*ids, geometry)
 
 
-def estimate_essential(
-    x1: FloatArray, x2: FloatArray, cameras: tuple[Any, Any], *, factor: float = 1.0, seed: int = 0
-) -> dict[str, Any] | None:
-    """Return pycolmap's essential matrix, and what comes with it, for matches (N, 2) of two of its cameras.
+def intrinsics_of(camera: Any) -> Intrinsics:
+    """Return what a camera of pycolmap tells, in our pixels."""
+    K = camera.calibration_matrix()
+    K[:2, 2] -= _HALF_PIXEL
 
-    The threshold is COLMAP's times a `factor`.
-    """
-    import pycolmap
+    def undistort(x: FloatArray) -> FloatArray:
+        return np.asarray(camera.cam_from_img(x + _HALF_PIXEL) * (K[0, 0], K[1, 1]) + K[:2, 2])
 
-    options = pycolmap.TwoViewGeometryOptions().ransac
-    options.max_error, options.random_seed = factor * options.max_error, seed % 2**31
-    both = x1 + _HALF_PIXEL, x2 + _HALF_PIXEL
-    found: dict[str, Any] | None = pycolmap.estimate_essential_matrix(*both, *cameras, options)
-    return found
+    return Intrinsics(K=K, undistort=None if camera.is_undistorted() else undistort)
 
 
 def configuration_of(estimate: FundamentalEstimate) -> str:
     """Return COLMAP's name for the geometry of an estimate; empty where there is none."""
     if estimate:
-        return "UNCALIBRATED"
+        return "UNCALIBRATED" if estimate.E is None else "CALIBRATED"
     return _CONFIGURATIONS[estimate.geometry] if estimate.H is not None else ""
 
 

@@ -71,7 +71,7 @@ def measure_bag(
             (images / name).symlink_to(view.image.resolve())
         start = processor_seconds()
         how: dict[str, Any] = {"seed": mapper.seed, "min_confidence": mapper.min_confidence, "learned": learned}
-        features, matched = fill_database(method, images, database, **how)
+        features, matched = fill_database(method, images, bag.named, database, **how)
         used = processor_seconds() - start + learned_s
         seconds: dict[str, Any] = {"features_s": features if learned is None else np.nan, "matching_s": used - features}
         for kind in reversed(INTRINSICS):

@@ -21,7 +21,6 @@ from epiprior.collection.images import find_images
 from epiprior.collection.match import MatchSettings, match_pair
 from epiprior.collection.run import MatchedCollection
 from epiprior.collection.store import PairStore
-from epiprior.collection.verify import under_cameras
 from epiprior.io.colmap import add_camera, add_image, add_pair, quiet
 from epiprior.matching.baselines import snn_matches
 from epiprior.presets import Mode, find_preset
@@ -39,12 +38,19 @@ def processor_seconds() -> float:
 
 
 def fill_database(
-    method: str, images: Path, database: Path, *, seed: int, min_confidence: float, learned: Sequence[Columns] | None
+    method: str,
+    images: Path,
+    named: Mapping[str, View],
+    database: Path,
+    *,
+    seed: int,
+    min_confidence: float,
+    learned: Sequence[Columns] | None,
 ) -> tuple[float, MatchedCollection | None]:
     """Fill a new database from the photographs of a folder; return the processor seconds that features took.
 
     `learned` is what a learned matcher found for all pairs, in order; its features were found before. Last, for
-    `know_cameras`, what epiprior found.
+    `know_cameras`, what epiprior found, under the true cameras.
     """
     with quiet():
         if learned is not None:
@@ -52,7 +58,7 @@ def fill_database(
             return 0.0, None
         if method == "colmap":
             return _by_colmap(images, database, seed), None
-        return _by_epiprior(method, images, database, seed=seed, min_confidence=min_confidence)
+        return _by_epiprior(method, images, named, database, seed=seed, min_confidence=min_confidence)
 
 
 def know_cameras(
@@ -62,10 +68,9 @@ def know_cameras(
     import pycolmap
 
     if matched is not None:
-        cameras = {name: _true_camera(view) for name, view in named.items()}
         database.unlink()
-        in_order = [(image.name, cameras[image.name]) for image in matched.images.images]
-        write_database(database, _under(cameras, matched, seed), in_order, min_confidence)
+        in_order = [(image.name, matched.cameras[image.name]) for image in matched.images.images]
+        write_database(database, matched, in_order, min_confidence)
         return
     with pycolmap.Database.open(database) as opened:
         for image in opened.read_all_images():
@@ -85,15 +90,15 @@ def _true_camera(view: View) -> Any:
     return camera
 
 
-def _under(cameras: Mapping[str, Any], matched: MatchedCollection, seed: int) -> MatchedCollection:
-    """Return a collection that was matched without cameras, under these."""
-    known = replace(matched, cameras=cameras)
-    for pair, found in zip(matched.pairs, matched, strict=True):
-        if (both := known.cameras_of(pair)) is not None:
-            xy = matched.features(pair[0]).xy, matched.features(pair[1]).xy
-            limit = matched.how.settings.features.max_image_size
-            known.store.write(known.key(pair), under_cameras(found, both, xy, max_image_size=limit, seed=seed))
-    return known
+def _match(matched: MatchedCollection) -> None:
+    """Match the pairs that are not in the store: what workers of `match_collection` do, in this process."""
+    images, store = matched.images.images, matched.store
+    for a, b in matched.pairs:
+        if matched.key((a, b)) not in store:
+            both = (images[a], images[b]), (matched.file(a), matched.file(b))
+            plain, known = match_pair(*both, matched.how, matched.cameras_of((a, b)))
+            store.write(matched.plain.key((a, b)), plain)
+            store.write(matched.key((a, b)), known)
 
 
 def _by_colmap(images: Path, database: Path, seed: int) -> float:
@@ -112,7 +117,7 @@ def _by_colmap(images: Path, database: Path, seed: int) -> float:
 
 
 def _by_epiprior(
-    method: str, images: Path, database: Path, *, seed: int, min_confidence: float
+    method: str, images: Path, named: Mapping[str, View], database: Path, *, seed: int, min_confidence: float
 ) -> tuple[float, MatchedCollection | None]:
     """Do what `match_collection` does, in this process, so that processor time is that of the work."""
     found, settings, start = find_images(images), find_preset("default"), processor_seconds()
@@ -122,18 +127,18 @@ def _by_epiprior(
     pairs = list(itertools.combinations(range(len(found.images)), 2))
     keys = [feature_key(image, settings.features) for image in found.images]
     store = PairStore(work / "pairs.db")
-    matched = MatchedCollection(
-        images=found, pairs=pairs if method in MODES else [], work=work, feature_keys=keys, how=how, store=store
-    )
+    cameras = {name: _true_camera(view) for name, view in named.items()}
+    kept: dict[str, Any] = {"feature_keys": keys, "how": how, "store": store, "cameras": cameras}
+    matched = MatchedCollection(images=found, pairs=pairs if method in MODES else [], work=work, **kept)
     for place, image in enumerate(found.images):
         matched.file(place).write_bytes(make_features(image, settings.features))
     used = processor_seconds() - start
-    for a, b in matched.pairs:
-        both = (found.images[a], found.images[b]), (matched.file(a), matched.file(b))
-        store.write(matched.key((a, b)), match_pair(*both, how)[0])
-    cameras = infer_cameras(found, CameraSettings())
-    by_name = {image.name: camera for image, (_, camera) in zip(found.images, cameras, strict=True)}
-    write_database(database, _under(by_name, matched, seed), cameras, min_confidence)
+    _match(matched)
+    inferred = infer_cameras(found, CameraSettings())
+    by_name = {image.name: camera for image, (_, camera) in zip(found.images, inferred, strict=True)}
+    as_inferred = replace(matched, cameras=by_name)
+    _match(as_inferred)  # where EXIF tells focal lengths
+    write_database(database, as_inferred, inferred, min_confidence)
     if method in MODES:
         return used, matched
     with contextlib.closing(store):
