@@ -8,7 +8,7 @@ import argparse
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import yaml
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -20,11 +20,15 @@ from epiprior.errors import SettingsError
 STUDY = Path("params.yaml")
 PHOTOGRAPHS = Path("benchmarks/real/params.yaml")
 
-SPLITS = ("train", "confidence", "validation", "test")
 KINDS = ("pair", "unrelated", "doppelganger", "overlay", "plane", "rotation", "copy")
 
+
+Split = Literal["train", "confidence", "validation", "test"]
 Preset = Literal["paper", "default"]
+Family = Literal["tree", "random-forest", "svm", "lightgbm"]
 Input = Literal["standard", "snn", "generalized", "paper-standard", "paper", "fast", "default"]
+
+SPLITS: tuple[Split, ...] = get_args(Split)
 
 Value = TypeVar("Value")
 
@@ -79,7 +83,8 @@ class EvaluateParams:
         for name, inputs in self.inputs_by_estimator.items():
             if len(_BASELINES.intersection(inputs)) != 1:
                 raise ValueError(f"inputs of {name} are {', '.join(inputs)}: expected standard or generalized")
-        _check_known("whole", self.whole or (), self.all_inputs)
+        asked = tuple(dict.fromkeys(name for inputs in self.inputs_by_estimator.values() for name in inputs))
+        _check_known("whole", self.whole or (), asked)
         for peer, estimators in (self.peer_estimators or {}).items():
             _check_known("peer_estimators", (peer,), self.peers or (peer,))
             _check_known(f"peer_estimators.{peer}", estimators, self.estimators)
@@ -98,11 +103,6 @@ class EvaluateParams:
             name: (*own, *(peer for peer in self.peers or () if name in of_peers.get(peer, (name,))))
             for name, own in self.inputs_by_estimator.items()
         }
-
-    @property
-    def all_inputs(self) -> tuple[str, ...]:
-        """All inputs that some estimator gets, without peers."""
-        return tuple(dict.fromkeys(i for inputs in self.inputs_by_estimator.values() for i in inputs))
 
     def pairs_of(self, group: str) -> Path:
         """Return the folder of a group's pair set."""
@@ -216,29 +216,20 @@ class Params:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class PairCounts:
-    """Pairs of each family in each split."""
-
-    train: Mapping[str, Count]
-    confidence: Mapping[str, Count]
-    validation: Mapping[str, Count]
-    test: Mapping[str, Count]
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
 class SceneParams:
-    """Rendered scenes."""
+    """Rendered scenes; `pairs` counts the pairs of each family in each split."""
 
     seed: Seed
     families: Listed[str]
-    pairs: PairCounts
+    pairs: Mapping[Split, Mapping[str, Count]]
     image_width: ImageSize
     image_height: ImageSize
     jpeg_quality: Annotated[int, Field(ge=1, le=100)]
 
     def __post_init__(self) -> None:
-        for split in SPLITS:
-            counts = getattr(self.pairs, split)
+        if set(self.pairs) != set(SPLITS):
+            raise ValueError(f"pairs are counted for {sorted(self.pairs)}, expected {list(SPLITS)}")
+        for split, counts in self.pairs.items():
             if set(counts) != set(self.families):
                 raise ValueError(f"pairs.{split} counts {sorted(counts)}, expected the families {list(self.families)}")
 
@@ -260,30 +251,24 @@ class FeatureParams:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class ExportedFamilies:
-    """The family of classifiers that each preset ships, and the confidence."""
-
-    paper: str
-    default: str
-    confidence: str
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
 class TrainParams:
-    """Cross-validation and refit of the classifiers."""
+    """Cross-validation and refit of the classifiers; `exported` is the family that each model ships, no SVM."""
 
     seed: Seed
     folds: Annotated[int, Field(ge=2, le=100)]
-    families: Listed[str]
-    exported: ExportedFamilies
+    families: Listed[Family]
+    exported: Mapping[str, Family]
     max_rows_per_pair: Rows
     max_rows: Rows
     max_forest_rows: Rows
     max_svm_rows: Rows
 
     def __post_init__(self) -> None:
-        for preset in ("paper", "default", "confidence"):
-            _check_known(f"exported.{preset}", (getattr(self.exported, preset),), self.families)
+        models = ("paper", "default", "confidence")
+        _check_known("exported", self.exported, models)
+        for model in models:
+            known = tuple(family for family in self.families if family != "svm")
+            _check_known(f"exported.{model}", (self.exported.get(model),), known)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -306,10 +291,6 @@ class HandOverParams:
     one_to_one: Listed[bool]
     refine: Listed[bool]
     collect: Listed[bool]
-
-    def top_k_for(self, estimator: str) -> tuple[int | None, ...]:
-        """Return the numbers of matches that are tried for an estimator."""
-        return self.weighted.top_k if estimator in self.weighted.estimators else self.top_k
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

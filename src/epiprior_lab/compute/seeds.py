@@ -4,17 +4,13 @@ import hashlib
 
 import numpy as np
 
-from epiprior.errors import SettingsError
-
 
 def child_seed(base: int, *names: str) -> int:
     """Return the seed of one named piece of work, in ``[0, 2**31)``: accepted by all libraries that draw at random.
 
-    `base` is the seed of the whole, SettingsError if negative; `names` say what the seed is for, the general first,
+    `base`, 0 or more, is the seed of the whole; `names` say what the seed is for, the general first,
     such as ``("render", "open-test-0003")``. They are hashed one by one: ``("a", "bc")`` is not ``("ab", "c")``.
     """
-    if base < 0:
-        raise SettingsError(f"seed = {base}: expected an integer >= 0")
     words = [base]
     for name in names:
         digest = hashlib.sha256(name.encode()).digest()

@@ -5,50 +5,33 @@ import dataclasses
 import functools
 import hashlib
 import importlib.metadata
+import inspect
 import re
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from epiprior.errors import SettingsError
 from epiprior_lab.compute.source_graph import SOURCE, source_files
 
 _DIGEST_BYTES = 32
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Installation:
-    """What a process runs: names of source files below the source folder; digest of their contents, and of versions."""
+class ResultStore:
+    """Results of one function, a file per task name, each with the content key of the call that gave it.
 
-    sources: tuple[str, ...]
-    digest: bytes
-
-    def is_here(self) -> bool:
-        """Return whether this process runs the same."""
-        return _installation_digest(self.sources) == self.digest
-
-
-class ContentKeys:
-    """Keys of calls of one function: source, installed versions, payload, and files that it reads.
-
-    Its source is its module and all of these packages that this imports; SettingsError if the module has no source
-    file. Without `versions`, those of this installation do not count: the function runs another. `installation` is what
-    another process must run to get the same results.
+    The key has the function's source (its module and all of these packages that this imports), the installed versions,
+    the payload, and the contents of the files that are read. Without `versions`, those of this installation do not
+    count: the function runs another. Without a `folder`, nothing is kept.
     """
 
-    def __init__(self, function: Callable[..., Any], *, versions: bool = True) -> None:
-        module = sys.modules[function.__module__]
-        if module.__file__ is None:
-            raise SettingsError(f"function {function.__qualname__}: module {module.__name__} has no source file")
-        sources = source_files(Path(module.__file__).resolve())
+    def __init__(self, function: Callable[..., Any], folder: Path | None = None, *, versions: bool = True) -> None:
+        self._folder, self._names = folder, (function.__module__, function.__qualname__)
+        sources = source_files(Path(inspect.getfile(sys.modules[function.__module__])).resolve())
         environment = _environment() if versions else b""
-        self._common = hashlib.sha256(_digest(*_names(function)) + environment + _source_digest(sources))
-        names = tuple(sorted(file.relative_to(SOURCE).as_posix() for file in sources if file.is_relative_to(SOURCE)))
-        self.installation = Installation(sources=names, digest=_installation_digest(names))
+        self._common = hashlib.sha256(_digest(*self._names) + environment + _source_digest(sources))
         self._files: dict[Path, bytes] = {}
 
     def key(self, payload: Mapping[str, Any], files: Sequence[Path]) -> bytes:
@@ -62,42 +45,36 @@ class ContentKeys:
             digest.update(self._files[path])
         return digest.digest()
 
-
-def result_path(store: Path, function: Callable[..., Any], name: str) -> Path:
-    """Return the one file of a function and task name: readable, and shared with no other."""
-    digest = _digest(*_names(function), name).hex()[:12]
-    readable = re.sub(r"[^\w.-]", "_", name)[:80]
-    return store / f"{readable}-{digest}.result"
-
-
-def read_result(path: Path, key: bytes) -> bytes | None:
-    """Return a stored body, or None if there is none of this key or the file is damaged."""
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        return None
-    head, body = content[: 2 * _DIGEST_BYTES], content[2 * _DIGEST_BYTES :]
-    return body if head == key + hashlib.sha256(body).digest() else None
-
-
-def write_result(path: Path, key: bytes, body: bytes) -> None:
-    """Replace a stored body in one step: after a kill there is the old one or the new one."""
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+    def read(self, name: str, key: bytes) -> bytes | None:
+        """Return a stored body; None if there is none with this key, or it is damaged."""
         try:
-            file.write(key + hashlib.sha256(body).digest() + body)
-            file.close()
-            Path(file.name).replace(path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
+            content = self._path(name).read_bytes() if self._folder else b""
+        except FileNotFoundError:
+            return None
+        head, body = content[: 2 * _DIGEST_BYTES], content[2 * _DIGEST_BYTES :]
+        return body if head == key + hashlib.sha256(body).digest() else None
+
+    def write(self, name: str, key: bytes, body: bytes) -> None:
+        """Replace a stored body in one step: after a kill there is the old one or the new one."""
+        if self._folder:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            path = self._path(name)
+            part = path.with_suffix(".part")
+            part.write_bytes(key + hashlib.sha256(body).digest() + body)
+            part.replace(path)
+
+    def _path(self, name: str) -> Path:
+        """Return the one file of a task name: readable, and shared with no other function."""
+        assert self._folder is not None
+        readable = re.sub(r"[^\w.-]", "_", name)[:80]
+        return self._folder / f"{readable}-{_digest(*self._names, name).hex()[:12]}.result"
 
 
-def _names(function: Callable[..., Any]) -> tuple[str, str]:
-    return function.__module__, function.__qualname__
-
-
-def _digest(*texts: str) -> bytes:
-    return hashlib.sha256("\0".join(texts).encode()).digest()
+@functools.cache
+def installation() -> bytes:
+    """Return the digest of all code of both packages and of the installed versions, as it is when first asked for."""
+    files = (file for package in ("epiprior", "epiprior_lab") for file in (SOURCE / package).rglob("*.py"))
+    return _source_digest(files) + _environment()
 
 
 @functools.cache
@@ -108,10 +85,8 @@ def _environment() -> bytes:
     )
 
 
-@functools.cache
-def _installation_digest(names: tuple[str, ...]) -> bytes:
-    """Return the digest of source files, as they are when it is first asked for, and of versions."""
-    return _source_digest(SOURCE / name for name in names if (SOURCE / name).is_file()) + _environment()
+def _digest(*texts: str) -> bytes:
+    return hashlib.sha256("\0".join(texts).encode()).digest()
 
 
 def _source_digest(files: Iterable[Path]) -> bytes:

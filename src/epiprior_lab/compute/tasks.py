@@ -5,16 +5,16 @@ they are: tasks run with one thread, and arguments and results are pickled, in t
 """
 
 import contextlib
-import functools
 import os
 import pickle
 import socket
 import sys
 import threading
 import time
+import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from itertools import islice
 from operator import itemgetter
@@ -26,13 +26,14 @@ import joblib
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from epiprior.collection.workers import Pool, open_pool
 from epiprior.errors import EpipriorError, SettingsError
-from epiprior_lab.compute.executors import Pool, open_pool
-from epiprior_lab.compute.store import ContentKeys, Installation, read_result, result_path, write_result
+from epiprior_lab.compute.store import ResultStore, installation
 
 WORKERS_VARIABLE = "EPIPRIOR_WORKERS"
 SCHEDULER_VARIABLE = "EPIPRIOR_SCHEDULER"
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_LOST = f"its worker was killed (out of memory? {WORKERS_VARIABLE} sets their number), or its scheduler was lost"
 _SECONDS_BETWEEN_LINES = 10.0
 _ONE_AT_A_TIME = threading.RLock()
 
@@ -68,17 +69,16 @@ def map_tasks(
     function: Callable[..., Any],
     tasks: Sequence[Task],
     *,
-    workers: int,
     description: str,
+    workers: int | None = None,
     store: Path | None = None,
-    scheduler: str | None = None,
     versions: bool = True,
 ) -> list[Any]:
     """Call ``function(**task.payload)`` for every task; return the results in the order of the tasks.
 
     The function is module-level and deterministic, and reads nothing but its arguments and the task's files. It runs in
-    `workers` processes, with 1 in this one, or on the workers of a dask `scheduler`, such as ``tcp://host:8786``, by
-    default that of ``EPIPRIOR_SCHEDULER``; these need the same installation, and the same files under the same paths.
+    `workers` processes, by default `default_workers`, with 1 in this one; or, where ``EPIPRIOR_SCHEDULER`` names one,
+    on the workers of a dask scheduler, which need the same installation, and the same files under the same paths.
     `description` names the work in the progress bar and in messages. An interrupt ends workers on this machine at once;
     those of a cluster end their task.
 
@@ -91,44 +91,37 @@ def map_tasks(
     first one that failed, in the order of the tasks. Also if a file of a task cannot be read, or the workers are lost.
     SettingsError if `workers` is below 1, a name is repeated, a payload has no stable key, or no scheduler answers.
     """
-    if workers < 1:
-        raise SettingsError(f"workers = {workers}: expected 1 or more")
-    repeated = [name for name, count in Counter(task.name for task in tasks).items() if count > 1]
+    count = default_workers() if workers is None else workers
+    if count < 1:
+        raise SettingsError(f"workers = {count}: expected 1 or more")
+    repeated = [name for name, times in Counter(task.name for task in tasks).items() if times > 1]
     if repeated:
         raise SettingsError(f"{description}: repeated task name {min(repeated)!r}")
-    keys = ContentKeys(function, versions=versions)
-    results: list[Any] = [None] * len(tasks)
-    jobs = []
+    kept = ResultStore(function, store, versions=versions)
+    keys: list[bytes] = []
+    results: dict[int, bytes] = {}
     for index, task in enumerate(tasks):
         label = f"{description}: task {task.name!r}"
         try:
-            key = keys.key(task.payload, task.files)
+            keys.append(kept.key(task.payload, task.files))
         except TypeError as error:
             raise SettingsError(f"{label}: payload: {error}") from error
         except OSError as error:
             raise TaskError(f"{label}: cannot read {error.filename}: {error.strerror}") from error
-        path = None if store is None else result_path(store, function, task.name)
-        body = None if path is None else read_result(path, key)
-        if body is None:
-            jobs.append(_Job(index=index, task=task, label=label, key=key, path=path))
-        else:
-            results[index] = pickle.loads(body)
-    if store is not None:
-        store.mkdir(parents=True, exist_ok=True)
-    scheduler = (scheduler or os.environ.get(SCHEDULER_VARIABLE) or None) if jobs else None
+        if (body := kept.read(task.name, keys[-1])) is not None:
+            results[index] = body
+    missing = [index for index in range(len(tasks)) if index not in results]
     # Limits hold around the workers too, which inherit them through the environment when they load libraries.
     with (
-        _progress(description, len(tasks), len(tasks) - len(jobs)) as advance,
+        _progress(description, len(tasks), len(results)) as advance,
         single_threaded(),
-        open_pool(workers=min(workers, len(jobs)), scheduler=scheduler) as pool,
+        _open_pool(min(count, len(missing))) as pool,
     ):
-        installation = keys.installation if pool.remote else None
-        for job, body in _execute(function, jobs, pool, description, installation):
-            if job.path is not None:
-                write_result(job.path, job.key, body)
-            results[job.index] = pickle.loads(body)
+        for index, body in _execute(function, tasks, missing, pool, description):
+            kept.write(tasks[index].name, keys[index], body)
+            results[index] = body
             advance()
-    return results
+    return [pickle.loads(results.pop(index)) for index in range(len(tasks))]
 
 
 @contextlib.contextmanager
@@ -153,104 +146,109 @@ def single_threaded() -> Iterator[None]:
         os.environ.update({name: before[name] for name in _THREAD_VARIABLES if name in before})
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Job:
-    """A task whose result is not in the store; `path` is where it goes, if anywhere."""
+@contextlib.contextmanager
+def _open_pool(workers: int) -> Iterator[Pool]:
+    """Open the workers of the scheduler, if one is named, or processes; with less than two, this process."""
+    scheduler = os.environ.get(SCHEDULER_VARIABLE)
+    if scheduler and workers:
+        with warnings.catch_warnings(), open_pool(scheduler=scheduler) as pool:
+            # A task carries its own arguments; there is no graph that could be smaller.
+            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+            yield pool
+    elif workers > 1:
+        with open_pool(workers) as pool:
+            yield pool
+    else:
+        yield Pool(submit=_submit_here, capacity=lambda: 1)
 
-    index: int
-    task: Task
-    label: str
-    key: bytes
-    path: Path | None
+
+def _submit_here(function: Callable[..., Any], *args: Any) -> Future[Any]:
+    """Call a function at once; an interrupt goes through to the caller."""
+    future: Future[Any] = Future()
+    try:
+        future.set_result(function(*args))
+    except Exception as error:  # noqa: BLE001 - whoever asks for the result gets it
+        future.set_exception(error)
+    return future
 
 
 def _execute(
-    function: Callable[..., Any], jobs: Sequence[_Job], pool: Pool, description: str, installation: Installation | None
-) -> Iterator[tuple[_Job, bytes]]:
+    function: Callable[..., Any], tasks: Sequence[Task], missing: Sequence[int], pool: Pool, description: str
+) -> Iterator[tuple[int, bytes]]:
     """Yield results as they are ready.
 
     Tasks are handed out in order and never taken back. When one fails, all before it have therefore been handed out;
     once these ended, the first failure in order is known.
     """
-    folder = Path.cwd()
-    waiting = iter(jobs)
-    running: dict[Future[bytes], _Job] = {}
+    folder, expected = Path.cwd(), installation() if os.environ.get(SCHEDULER_VARIABLE) else None
+    waiting = iter(missing)
+    running: dict[Future[bytes], int] = {}
     failures: list[tuple[int, TaskError]] = []
     while True:
         try:
             room = 0 if failures else max(0, pool.capacity() - len(running))
-            for job in islice(waiting, room):
-                # Pickled here, arguments belong to the task, and its arrays are writable wherever it runs.
-                call = cloudpickle.dumps((function, job.task.payload))
-                running[pool.executor.submit(_run, call, job.label, folder, installation)] = job
-        except BrokenExecutor:
-            failures.append((-1, _lost(running.values(), description)))
+        except OSError as error:
+            room, lost = 0, TaskError(f"{description}: {_LOST}: {error}")
+            failures.append((-1, lost))
+        for index in islice(waiting, room):
+            # Pickled here, arguments belong to the task, and its arrays are writable wherever it runs.
+            call = cloudpickle.dumps((function, tasks[index].payload))
+            label = f"{description}: task {tasks[index].name!r}"
+            running[pool.submit(_run, call, label, folder, expected)] = index
         if not running:
             break
         for future in wait(running, return_when=FIRST_COMPLETED).done:
-            job = running[future]
+            index = running.pop(future)
             try:
                 body = future.result()
-            except (BrokenExecutor, CancelledError):
-                failures.append((-1, _lost(running.values(), description)))
-            except Exception as error:  # noqa: BLE001 - of the task, or of a cluster that gave it up
-                failures.append((job.index, _failure(job.label, error)))
+            except TaskError as error:
+                failures.append((index, error))
+            except Exception as error:  # noqa: BLE001 - of a worker, or of a cluster
+                failures.append((index, TaskError(f"{description}: task {tasks[index].name!r}: {_LOST}: {error!r}")))
             else:
-                yield job, body
-            del running[future]
+                yield index, body
     if failures:
         raise min(failures, key=itemgetter(0))[1]
 
 
-def _lost(jobs: Iterable[_Job], description: str) -> TaskError:
-    names = ", ".join(repr(job.task.name) for job in jobs)
-    return TaskError(
-        f"{description}: workers were killed (perhaps memory ran out: {WORKERS_VARIABLE} sets their number), or "
-        f"their scheduler was lost; in flight were {names}; what was ready is kept"
-    )
-
-
-def _run(call: bytes, label: str, folder: Path, installation: Installation | None) -> bytes:
+def _run(call: bytes, label: str, folder: Path, expected: bytes | None) -> bytes:
     """Run one task with one thread, and return its result pickled."""
     # Thread limits and working folder belong to the process, and a worker of a cluster may have several threads.
     with _ONE_AT_A_TIME, single_threaded():
         try:
             with contextlib.chdir(folder):
-                if installation is not None and not installation.is_here():
+                if expected is not None and installation() != expected:
                     where = f"worker {os.getpid()} on {socket.gethostname()}"
                     raise SettingsError(f"{where} has other code or other versions than the process that sent the task")
                 function, payload = cloudpickle.loads(call)
                 return pickle.dumps(function(**payload), protocol=5)
         except Exception as error:
-            raise _failure(label, error) from error
-
-
-def _failure(label: str, error: Exception) -> TaskError:
-    return error if isinstance(error, TaskError) else TaskError(f"{label} failed: {type(error).__name__}: {error}")
+            raise TaskError(f"{label} failed: {type(error).__name__}: {error}") from error
 
 
 @contextlib.contextmanager
 def _progress(description: str, total: int, done: int) -> Iterator[Callable[[], None]]:
     """Yield a function that advances a bar on a terminal, or elsewhere writes a line every ten seconds."""
     console = Console(stderr=True)
-    if console.is_terminal:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:
-            bar = progress.add_task(description, total=total, completed=done)
-            yield functools.partial(progress.advance, bar)
-        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    times = (TimeElapsedColumn(), TimeRemainingColumn())
     start = last = time.monotonic()
     count = done
 
-    def line(end: str) -> None:
-        sys.stderr.write(f"{description}: {count} of {total} after {time.monotonic() - start:.0f} s{end}\n")
+    def line(end: str = "") -> None:
+        if not console.is_terminal:
+            sys.stderr.write(f"{description}: {count} of {total} after {time.monotonic() - start:.0f} s{end}\n")
 
-    def advance() -> None:
-        nonlocal count, last
-        count += 1
-        if time.monotonic() - last >= _SECONDS_BETWEEN_LINES:
-            last = time.monotonic()
-            line("")
+    with Progress(*columns, *times, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task(description, total=total, completed=done)
 
-    yield advance
+        def advance() -> None:
+            nonlocal count, last
+            count += 1
+            progress.advance(bar)
+            if time.monotonic() - last >= _SECONDS_BETWEEN_LINES:
+                last = time.monotonic()
+                line()
+
+        yield advance
     line(f", {done} from the store")

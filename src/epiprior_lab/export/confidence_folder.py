@@ -6,6 +6,7 @@ from typing import Any
 
 from epiprior.verification.confidence import CONFIDENCE_TARGETS, load_confidence
 from epiprior_lab.export.model_folder import check_parity, write_folder
+from epiprior_lab.training.cross_validation import ROW_METRICS
 
 _CARD = """\
 # epiprior model `confidence`
@@ -64,10 +65,7 @@ def export_confidence(
     def card(manifest: Mapping[str, Any]) -> str:
         data, items = manifest["training_data"], [manifest[target] for target in CONFIDENCE_TARGETS]
         right, flat = (f"{i['family']} | {i['calibration']['a']:.4f} | {i['calibration']['b']:.4f}" for i in items)
-        measured = [
-            (name, *(f"{item['metrics'][name]['calibrated']:.4f}" for item in items))
-            for name in ("accuracy", "precision", "log_loss", "brier_score", "expected_calibration_error")
-        ]
+        measured = [(name, *(f"{item['metrics'][name]['calibrated']:.4f}" for item in items)) for name in ROW_METRICS]
         values = {"right": right, "flat": flat, "least": least, "floor": floor, "accepted": accepted, "data": data}
         values |= {"rows": data["confidence_rows"], "positive": data["confidence_right"]}
         return _CARD.format(

@@ -6,7 +6,6 @@ from typing import Any
 _FAMILY_WORDS = {
     "tree": "a decision tree like C4.5: splits by entropy, Laplace-smoothed leaves",
     "random-forest": "a random forest",
-    "svm": "a support vector machine with Gaussian kernel and Platt's sigmoid",
     "lightgbm": "gradient-boosted trees of LightGBM",
 }
 _TARGET_WORDS = {
@@ -87,7 +86,7 @@ def model_card(manifest: Mapping[str, Any]) -> str:
 
 
 def _file_row(target: str, item: Mapping[str, Any]) -> str:
-    family, scaling = _FAMILY_WORDS.get(item["family"], item["family"]), item["calibration"]
+    family, scaling = _FAMILY_WORDS[item["family"]], item["calibration"]
     numbers = f"{len(item['features'])} | {scaling['a']:.4f} | {scaling['b']:.4f}"
     return f"| `{target}.onnx` | {_TARGET_WORDS[target]} | {family} | {numbers} |"
 

@@ -102,9 +102,8 @@ def learn_rule(runs: pd.DataFrame, params: CascadeParams, *, success_px: float, 
         if not own.all():
             other = choose(~own)
             held_kept[own], held_lost[own] = kept[other, own], lost[0, other, own]
-    outcomes = pd.DataFrame({"preprocessed": ~kept[best], "lost": lost[0, best]}).assign(
-        held_out_preprocessed=~held_kept, held_out_lost=held_lost
-    )
+    chosen = {"preprocessed": ~kept[best], "lost": lost[0, best]}
+    outcomes = pd.DataFrame({**chosen, "held_out_preprocessed": ~held_kept, "held_out_lost": held_lost})
     each = outcomes.groupby(runs["estimator"].to_numpy(str), sort=False).mean()
     return LearntRule(rule=rules[best], outcomes=pd.concat([each, outcomes.mean().to_frame(ALL).T]))
 

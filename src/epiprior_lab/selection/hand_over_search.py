@@ -4,7 +4,7 @@ A coordinate-wise search: the settings of a hand-over are varied one after the o
 found so far. It begins at the hand-over that the library would use without a search, and leaves it only for gains above
 their standard error over the pairs: with few pairs and many variations, the best score alone is mostly the luckiest.
 Baselines are searched as carefully as ranked matches. Matching is done once per pair; every step is then one task per
-pair and estimator, and measures F alone: its status, support and plausibility, half of the time, decide nothing here.
+pair, estimator and input, and measures F alone: its status, support and plausibility decide nothing here.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,9 +17,9 @@ import pandas as pd
 
 from epiprior.estimators.handover import HandOver, default_hand_over, hand_over
 from epiprior.estimators.run import best_fundamental
-from epiprior.types import EMPTY_MAPPING, FloatArray
-from epiprior_lab.compute.tasks import Task, map_tasks
-from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches, match_folder, store_matches
+from epiprior.types import FloatArray
+from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
+from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches, store_matches
 from epiprior_lab.evaluation.runs import EstimatorInputs, each_run
 from epiprior_lab.evaluation.statistics import area_under_success_curve
 from epiprior_lab.labels.ground_truth import errors_px
@@ -27,20 +27,15 @@ from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import HandOverParams
 
 Place = tuple[str, str]  # estimator and input
-Known = Mapping[str, tuple[HandOver, Sequence[float]]]  # per input, what was tried and its errors
-Candidates = dict[str, list[tuple[str, HandOver]]]  # per estimator, by input
-Coordinates = list[tuple[str, tuple[Any, ...]]]  # settings that are varied, in order, with their values
 
 SUCCESS_PX = 10.0
 STRICT_PX = 3.0
 
 # What is varied, in this order; the first cuts the ranking, a baseline's by its own measure, the distance ratio, which
 # adapts to the pair better than a number of matches does. Nothing that the paper does not print for `paper`.
-_VARIED = {
-    "standard": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
-    "snn": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
+_BY_RATIO = ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect")
+_VARIED = dict.fromkeys(("standard", "snn", "paper-standard"), _BY_RATIO) | {
     "generalized": ("top_k", "threshold_px", "one_to_one", "refine", "collect"),
-    "paper-standard": ("max_distance_ratio", "threshold_px", "one_to_one", "refine", "collect"),
     "paper": ("top_k", "threshold_px", "one_to_one"),
     "default": ("top_k", "threshold_px", "refine", "collect", "one_to_one"),
 }
@@ -53,8 +48,7 @@ class Trial:
     `errors_px`, shape (P, S), holds the errors of the pairs over seeds, pixels; NaN without a fundamental matrix.
     """
 
-    estimator: str
-    input: str
+    place: Place
     step: str
     how: HandOver
     errors_px: FloatArray
@@ -89,44 +83,38 @@ def trial_table(best: Mapping[Place, Trial], trials: Sequence[Trial]) -> pd.Data
         pairs, seeds = trial.errors_px.shape
         counts = {f"successes_{t:g}": int((trial.errors_px < t).sum()) / seeds for t in (SUCCESS_PX, STRICT_PX)}
         rows.append(
-            {"estimator": trial.estimator, "input": trial.input, "step": trial.step, **asdict(trial.how)}
+            {"estimator": trial.place[0], "input": trial.place[1], "step": trial.step, **asdict(trial.how)}
             | {"pairs": pairs, **counts, "area": trial.score[1]}
-            | {"chosen": trial is best[trial.estimator, trial.input]}
+            | {"chosen": trial is best[trial.place]}
         )
     return pd.DataFrame(rows)
 
 
-def coordinates(estimator: str, name: str, params: HandOverParams) -> Coordinates:
+def coordinates(estimator: str, name: str, params: HandOverParams) -> list[tuple[str, tuple[Any, ...]]]:
     """Return the settings that are varied for an estimator and input, in order, with their values."""
     values = {setting: getattr(params, setting) for setting in _VARIED[name]}
     if "top_k" in values:
-        values["top_k"] = params.weighted.top_k if name == "generalized" else params.top_k_for(estimator)
+        weighted = name == "generalized" or estimator in params.weighted.estimators
+        values["top_k"] = params.weighted.top_k if weighted else params.top_k
     return list(values.items())
 
 
 def candidate_errors(
-    *,
-    pair: Pair,
-    matches: MatchFiles,
-    estimator: str,
-    candidates: Sequence[tuple[str, HandOver]],
-    seeds: Sequence[int],
-    known: Known = EMPTY_MAPPING,
+    *, pair: Pair, matches: MatchFiles, place: Place, hows: Sequence[HandOver], seeds: Sequence[int]
 ) -> FloatArray:
-    """Return the errors of all candidates of one estimator on one pair, shape (len(candidates), len(seeds)).
+    """Return the errors of all hand-overs of one input to one estimator on one pair, shape (len(hows), len(seeds)).
 
-    Pixels, NaN without a fundamental matrix. `known` holds per input a hand-over that was tried before, and its errors:
-    nothing runs again for a candidate that hands over the same matches.
+    Pixels, NaN without a fundamental matrix. `matches` are those of the input alone. Nothing runs again for a hand-over
+    of the same matches as an earlier one.
     """
-    points, sets = pair.control_points(), matches.read()
-    found = {(name, _effect(sets, name, how)): list(before) for name, (how, before) in known.items()}
+    (estimator, name), points, read = place, pair.control_points(), matches.read()
+    found: dict[tuple[Any, ...], list[float]] = {}
     errors = []
-    for name, how in candidates:
-        same = (name, _effect(sets, name, how))
+    for how in hows:
+        same = _effect(read, name, how)
         if same not in found:
-            one = replace(sets, sets={name: sets.sets[name]})
             runs = each_run(
-                best_fundamental, one, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs={name: how}
+                best_fundamental, read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs={name: how}
             )
             found[same] = [np.nan if F is None else float(errors_px(F, *points).mean()) for _, _, F in runs]
         errors.append(found[same])
@@ -141,73 +129,45 @@ def _effect(matches: PairMatches, name: str, how: HandOver) -> tuple[Any, ...]:
 
 
 def search_hand_overs(
-    pairs: Sequence[Pair],
-    *,
-    inputs: EstimatorInputs,
-    params: HandOverParams,
-    files: Sequence[Path] = (),
-    workers: int = 1,
-    store: Path | None = None,
+    pairs: Sequence[Pair], *, inputs: EstimatorInputs, params: HandOverParams, files: Sequence[Path], store: Path
 ) -> tuple[dict[Place, Trial], list[Trial]]:
     """Search the best hand-over of every input to every estimator on validation pairs.
 
     Return what the search ended at, and all trials in order. `inputs` lists for each estimator the inputs that it gets;
     `files`, the model files, decide the matches beside the pairs' own files.
     """
-    used = tuple(dict.fromkeys(name for names in inputs.values() for name in names))
     varied = {(e, name): coordinates(e, name, params) for e, names in inputs.items() for name in names}
+    used = tuple(dict.fromkeys(name for _, name in varied))
+    about: dict[str, Any] = {"files": files, "workers": default_workers(), "description": "match validation pairs"}
+    matched = store_matches(pairs, used, store / "matches", **about)
     best: dict[Place, Trial] = {}
     trials: list[Trial] = []
-    with match_folder(store) as folder:
-        matched = store_matches(pairs, used, folder, files=files, workers=workers, description="match validation pairs")
-        for step in range(max(len(c) for c in varied.values())):
-            planned, tasks = _planned(varied, best, step), []
-            for estimator, candidates in planned.items():
-                names = tuple(dict.fromkeys(name for name, _ in candidates))
-                before = {name: best[estimator, name] for name in names if (estimator, name) in best}
-                common = {"estimator": estimator, "candidates": tuple(candidates), "seeds": params.seeds}
-                for k, (pair, matches) in enumerate(zip(pairs, matched, strict=True)):
-                    needed = matches.only(names)
-                    known = {name: (t.how, tuple(t.errors_px[k].tolist())) for name, t in before.items()}
-                    payload = {"pair": pair, "matches": needed, "known": known, **common}
-                    files = (*pair.files, *needed.paths.values())
-                    tasks.append(Task(name=f"{pair.pair_id} {estimator} {step}", payload=payload, files=files))
-            if not tasks:
+    for step in range(max(map(len, varied.values()))):
+        planned: dict[Place, list[HandOver]] = {}
+        tasks = []
+        for place, settings in varied.items():
+            if step >= len(settings):
                 continue
-            description = f"hand-over, step {step + 1}"
-            errors = iter(map_tasks(candidate_errors, tasks, workers=workers, description=description, store=store))
-            tried: dict[Place, list[Trial]] = {}
-            for estimator, candidates in planned.items():
-                stacked = np.stack([next(errors) for _ in pairs], axis=1)  # (candidates, pairs, seeds)
-                for (name, how), e in zip(candidates, stacked, strict=True):
-                    setting = varied[estimator, name][step][0]
-                    trials.append(Trial(estimator=estimator, input=name, step=setting, how=how, errors_px=e))
-                    tried.setdefault((estimator, name), []).append(trials[-1])
-            for place, challengers in tried.items():
-                best[place] = choose(best.get(place, challengers[0]), challengers)
+            setting, values = settings[step]
+            start = best[place].how if step else default_hand_over(*place)
+            every = dict.fromkeys((start, *(replace(start, **{setting: value}) for value in values)))
+            planned[place] = [how for how in every if not step or how != start]
+            common = {"place": place, "hows": planned[place], "seeds": params.seeds}
+            for pair, found in zip(pairs, matched, strict=True):
+                matches = found.only((place[1],))
+                payload = {"pair": pair, "matches": matches, **common}
+                needed = (*pair.files, *matches.paths.values())
+                tasks.append(Task(name=f"{pair.pair_id} {' '.join(place)} {step}", payload=payload, files=needed))
+        errors = iter(map_tasks(candidate_errors, tasks, description=f"hand-over, step {step + 1}", store=store))
+        for place, hows in planned.items():
+            of_pairs = np.stack([next(errors) for _ in pairs], axis=1)  # (hand-overs, pairs, seeds)
+            both, setting = zip(hows, of_pairs, strict=True), varied[place][step][0]
+            tried = [Trial(place=place, step=setting, how=how, errors_px=own) for how, own in both]
+            trials += tried
+            best[place] = choose(best[place] if step else tried[0], tried)
     return best, trials
-
-
-def _planned(varied: Mapping[Place, Coordinates], best: Mapping[Place, Trial], step: int) -> Candidates:
-    """Return what is tried in a step: every value of one setting, the others as in the best trial so far."""
-    planned: Candidates = {}
-    for place, settings in varied.items():
-        if step < len(settings):
-            start = best[place].how if place in best else default_hand_over(*place)
-            hows = dict.fromkeys((start, *(replace(start, **{settings[step][0]: v}) for v in settings[step][1])))
-            new = [(place[1], how) for how in hows if place not in best or how != start]
-            planned.setdefault(place[0], []).extend(new)
-    return {estimator: candidates for estimator, candidates in planned.items() if candidates}
 
 
 def choose(known: Trial, challengers: Sequence[Trial]) -> Trial:
     """Return the challenger with the highest score that gains on `known`, else `known`; of equals, the first."""
     return max((trial for trial in challengers if trial.gains_on(known)), key=lambda trial: trial.score, default=known)
-
-
-def chosen_hand_overs(best: Mapping[Place, Trial]) -> dict[str, dict[str, HandOver]]:
-    """Return the chosen hand-overs as ``{estimator: {input: hand-over}}``, what `save_hand_overs` writes."""
-    table: dict[str, dict[str, HandOver]] = {}
-    for (estimator, name), trial in best.items():
-        table.setdefault(estimator, {})[name] = trial.how
-    return table

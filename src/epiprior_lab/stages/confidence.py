@@ -3,10 +3,8 @@
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from epiprior.estimators.handover import load_hand_overs
-from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.inputs import model_files
 from epiprior_lab.evaluation.protocol import MODELS, rendered_pairs
 from epiprior_lab.export.confidence_folder import export_confidence
@@ -15,7 +13,6 @@ from epiprior_lab.tracking import track
 from epiprior_lab.training.comparison import compare
 from epiprior_lab.training.confidence import collect_facts, confidence_rows, least_confidence, plan_blocks
 from epiprior_lab.training.tables import write_training
-from epiprior_lab.training.tracked_runs import tracked_runs
 
 OUT, STORE, NAME = Path("data/training/confidence"), Path("data/.tasks/confidence"), "confidence"
 SPLIT = "confidence"
@@ -25,19 +22,18 @@ LEAST = 0.2  # below it F is wrong more often than four times in five, however f
 def main() -> None:
     """Write ``data/training/confidence/`` and ``models/confidence/``."""
     params = load_study()
-    own, workers, files = params.confidence, default_workers(), model_files(MODELS, params.confidence.inputs)
+    own, hand_over = params.confidence, MODELS / "hand_over.json"
     cases = plan_blocks(rendered_pairs(SPLIT, params.scenes.families), own.kinds, own.seed)
-    hand_over, success_px = MODELS / "hand_over.json", params.report.success_px
-    how: dict[str, Any] = {"files": (*files, hand_over), "workers": workers, "store": STORE}
-    facts = collect_facts(cases, own, load_hand_overs(hand_over), success_px=success_px, **how)
+    files = (*model_files(MODELS, own.inputs), hand_over)
+    success_px = params.report.success_px
+    facts = collect_facts(cases, own, load_hand_overs(hand_over), success_px=success_px, files=files, store=STORE)
     rows = confidence_rows(facts, own.seed)
-    found = [compare({NAME: data}, params.train, workers, STORE)[NAME] for data in rows.values()]
+    found = [compare(NAME, data, params.train, STORE) for data in rows.values()]
     write_training(OUT, found)
     least = least_confidence(found[0], facts, own.accepted_unrelated, LEAST)
     counts = dict(Counter(case.kind for case in cases))
     export_confidence(OUT, MODELS / NAME, least=least, floor=LEAST, accepted=own.accepted_unrelated, counts=counts)
-    settings = {key: str(value) for key, value in asdict(own).items()}
-    track([run for comparison in found for run in tracked_runs(comparison, settings)])
+    track(found, {key: str(value) for key, value in asdict(own).items()})
 
 
 if __name__ == "__main__":

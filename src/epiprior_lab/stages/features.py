@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
+from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.features.rows import extract_rows, rows_to_bytes
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.pairsets import Pair, read_pair_set
@@ -12,8 +12,7 @@ from epiprior_lab.params import load_study
 
 def extract(pair: Pair, presets: Sequence[str], labels: LabelSettings) -> dict[str, list[bytes]]:
     """Return the rows of one pair per preset, one serialised table per roll hypothesis."""
-    found = extract_rows(pair, presets, labels)
-    return {preset: [rows_to_bytes(rows) for rows in tables] for preset, tables in found.items()}
+    return {preset: [rows_to_bytes(rows) for rows in extract_rows(pair, preset, labels)] for preset in presets}
 
 
 def main() -> None:
@@ -22,8 +21,7 @@ def main() -> None:
     shared = {"presets": params.features.presets, "labels": LabelSettings.of(params.truth)}
     pairs = [pair for folder in params.features.pair_sets for pair in read_pair_set(Path(folder)).pairs]
     tasks = [Task(name=pair.pair_id, payload={"pair": pair, **shared}, files=pair.files) for pair in pairs]
-    store = Path("data/.tasks/features")
-    found = map_tasks(extract, tasks, workers=default_workers(), description="features", store=store)
+    found = map_tasks(extract, tasks, description="features", store=Path("data/.tasks/features"))
     for preset in params.features.presets:
         out = Path("data/features") / preset
         out.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from epiprior.types import FloatArray
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
+from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.labels.ground_truth import control_points_from_depth
 from epiprior_lab.pairsets import (
     Pair,
@@ -39,7 +39,7 @@ def main() -> None:
             payload = {"pair": pair, "count": truth.control_points, "seed": seed}
             tasks.append(Task(name=pair.pair_id, payload=payload, files=pair.files))
         title, store = f"ground truth, {split}, {family}", Path("data/.tasks/ground_truth") / split
-        found = map_tasks(measure, tasks, workers=default_workers(), description=title, store=store)
+        found = map_tasks(measure, tasks, description=title, store=store)
         out = Path("data/ground_truth") / split / family
         rows = []
         for pair, (x1, x2, seen) in zip(pairs, found, strict=True):

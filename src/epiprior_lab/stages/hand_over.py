@@ -3,12 +3,11 @@
 from pathlib import Path
 
 from epiprior.estimators.handover import INPUTS, save_hand_overs
-from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.inputs import model_files
 from epiprior_lab.evaluation.protocol import MODELS, rendered_pairs
 from epiprior_lab.evaluation.records import write_frame
 from epiprior_lab.params import load_study
-from epiprior_lab.selection.hand_over_search import chosen_hand_overs, search_hand_overs, trial_table
+from epiprior_lab.selection.hand_over_search import search_hand_overs, trial_table
 
 
 def main() -> None:
@@ -19,12 +18,11 @@ def main() -> None:
         for estimator, names in params.evaluate.inputs_by_estimator.items()
     }
     pairs = [pair for pairs in rendered_pairs("validation", params.scenes.families).values() for pair in pairs]
-    files, store = model_files(MODELS, params.evaluate.all_inputs), Path("data/.tasks/validation")
-    best, trials = search_hand_overs(
-        pairs, inputs=inputs, params=params.hand_over, files=files, workers=default_workers(), store=store
-    )
+    files, store = model_files(MODELS, INPUTS), Path("data/.tasks/validation")
+    best, trials = search_hand_overs(pairs, inputs=inputs, params=params.hand_over, files=files, store=store)
     MODELS.mkdir(exist_ok=True)
-    save_hand_overs(MODELS / "hand_over.json", chosen_hand_overs(best))
+    chosen = {estimator: {name: best[estimator, name].how for name in names} for estimator, names in inputs.items()}
+    save_hand_overs(MODELS / "hand_over.json", chosen)
     write_frame(trial_table(best, trials), Path("data/hand_over/search.csv"))
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from epiprior.verification.cascade import load_cascade_rule
-from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
+from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.inputs import FIRST, model_files
 from epiprior_lab.evaluation.kinds import case_records, places_of, plan_cases
 from epiprior_lab.evaluation.protocol import MODELS, as_shipped, make_protocol, pairs_of
@@ -28,8 +28,7 @@ def main() -> None:
     files = (*model_files(MODELS, own.inputs), *sorted((MODELS / "confidence").iterdir()))
     common = {"group": out.name, "inputs": inputs, "hand_overs": hand_overs, "truth": protocol.truth} | how
     tasks = [Task(name=case.name, payload={"case": case, **common}, files=(*case.files, *files)) for case in cases]
-    store = Path("data/.tasks") / out.name
-    found = map_tasks(case_records, tasks, workers=default_workers(), description="kinds of pairs", store=store)
+    found = map_tasks(case_records, tasks, description="kinds of pairs", store=Path("data/.tasks") / out.name)
     write_frame(to_frame(KindRecord, [record for records in found for record in records]), out / "kinds.csv")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
+from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import PairFiles, encode_depth, read_pair_set, write_pair_set
@@ -31,15 +31,11 @@ def render_solvable(
         # The first draw is that of the seed itself.
         own = child_seed(seed, str(draw)) if draw else seed
         files = render(pair_id=pair_id, family=family, seed=own, **size)
-        if least_right == 0 or _right(files, labels) >= least_right:
-            return files
+        with TemporaryDirectory() as folder:
+            write_pair_set(Path(folder), [files])
+            if least_right == 0 or right_among_putative(read_pair_set(folder).pairs[0], labels) >= least_right:
+                return files
     raise SceneError(f"{pair_id}: none of {_DRAWS} draws has {least_right} right matches among X")
-
-
-def _right(files: PairFiles, labels: LabelSettings) -> int:
-    with TemporaryDirectory() as folder:
-        write_pair_set(Path(folder), [files])
-        return right_among_putative(read_pair_set(folder).pairs[0], labels)
 
 
 def render(*, pair_id: str, family: str, seed: int, width: int, height: int, jpeg_quality: int) -> PairFiles:
@@ -72,23 +68,15 @@ def main() -> None:
         "height": scenes.image_height,
         "jpeg_quality": scenes.jpeg_quality,
     }
-    names = {
-        family: [f"{family}-{split}-{number:04d}" for number in range(getattr(scenes.pairs, split)[family])]
-        for family in scenes.families
-    }
-    tasks = [
-        Task(
-            name=name,
-            payload={"pair_id": name, "family": family, "seed": child_seed(scenes.seed, "render", name), **common},
-        )
-        for family, members in names.items()
-        for name in members
-    ]
-    store = Path("data/.tasks/render") / split
-    rendered = map_tasks(render_solvable, tasks, workers=default_workers(), description=f"render, {split}", store=store)
-    by_name = {pair.pair_id: pair for pair in rendered}
-    for family, members in names.items():
-        write_pair_set(Path("data/scenes") / split / family, [by_name[name] for name in members])
+    for family in scenes.families:
+        tasks = []
+        for number in range(scenes.pairs[split][family]):
+            name = f"{family}-{split}-{number:04d}"
+            payload = {"pair_id": name, "family": family, "seed": child_seed(scenes.seed, "render", name), **common}
+            tasks.append(Task(name=name, payload=payload))
+        title, store = f"render, {split}, {family}", Path("data/.tasks/render") / split
+        rendered = map_tasks(render_solvable, tasks, description=title, store=store)
+        write_pair_set(Path("data/scenes") / split / family, rendered)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Stage `report`: tables, figures and the page of an evaluation, of rendered scenes or of photographs."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,14 @@ from epiprior_lab.report.pictures import contact_sheet, density_of_roll, example
 from epiprior_lab.report.report import HAND_OVER_COLUMNS, read_classifiers, read_results, write_report
 from epiprior_lab.report.results import Results, read_table
 
+KINDS = {"study": Path("data/kinds/kinds.csv"), "photographs": Path("data/real-kinds/kinds.csv")}
 GALLERY = Path("data/photographs-gallery")
 OF_OTHER_STAGES = {name: f"timings/{name}.png" for name in ("decision", "overhead", "estimators")}
 OF_STUDY = {"cascade": "cascade.png", **{name: f"analysis/{name}.png" for name in ("steps", "ablations", "limits")}}
 
 
-def study_extras(params: StudyParams, results: Results, out: Path) -> Extras:
-    """Draw the pictures of the study, and read what else its report shows."""
+def study_extras(params: StudyParams, results: Results, common: Extras, out: Path) -> Extras:
+    """Draw the pictures of the study, and add what else its report shows to what both show."""
     own, figures = params.evaluate, out / "figures"
     shown = {group: pairs_of(own, group) for group in own.groups}
     by_id = {(group, pair.pair_id): pair for group, pairs in shown.items() for pair in pairs}
@@ -35,20 +37,17 @@ def study_extras(params: StudyParams, results: Results, out: Path) -> Extras:
     count = params.report.contact_sheet_pairs or 0
     sheet = contact_sheet({g: pairs[:count] for g, pairs in shown.items()}, figures / "contact_sheet.jpg")
     pictures = {"contact_sheet": sheet, "example": example_picture(example, figures / "example.jpg")}
-    return Extras(
-        rule=load_cascade_rule(MODELS / "cascade.json"),
-        cascaded=as_shipped(make_protocol(params), FIRST),
-        bounds=load_bounds(BOUNDS, "study"),
+    made = {name: out / path for name, path in OF_STUDY.items()}
+    return replace(
+        common,
         classifiers=read_classifiers(Path("data/training"), params.features.presets),
-        kinds=read_frame(KindRecord, Path("data/kinds/kinds.csv")),
         hand_over=read_table(Path("data/hand_over/search.csv"), HAND_OVER_COLUMNS),
-        pictures={**pictures, "roll": figures / "roll.png"}
-        | {name: out / path for name, path in {**OF_OTHER_STAGES, **OF_STUDY}.items()},
+        pictures={**pictures, "roll": figures / "roll.png", **common.pictures, **made},
     )
 
 
-def photograph_extras(params: Params, results: Results, out: Path) -> Extras:
-    """Draw the gallery of photographs, and read what else their report shows."""
+def photograph_extras(params: Params, results: Results, common: Extras, out: Path) -> Extras:
+    """Draw the gallery of photographs, and add what else their report shows to what both show."""
     gallery, own, cases = params.report.gallery, params.evaluate, []
     if gallery is not None:
         how: dict[str, Any] = {"rescued": gallery.rescued, "lost": gallery.lost, "success_px": params.report.success_px}
@@ -56,16 +55,7 @@ def photograph_extras(params: Params, results: Results, out: Path) -> Extras:
         shown = dict.fromkeys(case.group for case in cases)
         pairs = {(group, pair.pair_id): pair for group in shown for pair in pairs_of(own, group)}
         draw_cases(cases, pairs, make_protocol(params), photographs=GALLERY, frames=out / "gallery")
-    return Extras(
-        rule=load_cascade_rule(MODELS / "cascade.json"),
-        cascaded=as_shipped(make_protocol(params), FIRST),
-        bounds=load_bounds(BOUNDS, "photographs"),
-        known_sets=known_sets(),
-        kinds=read_frame(KindRecord, Path("data/real-kinds/kinds.csv")),
-        pictures={name: out / path for name, path in OF_OTHER_STAGES.items()},
-        cases=cases,
-        gallery=GALLERY,
-    )
+    return replace(common, known_sets=known_sets(), cases=cases, gallery=GALLERY)
 
 
 def main() -> None:
@@ -75,11 +65,19 @@ def main() -> None:
     own = params.evaluate
     evaluated = Tables.read([Path(own.out) / group for group in own.groups])
     results = read_results(evaluated, params.report, apart=own.apart or ())
+    kind = "study" if isinstance(params, StudyParams) else "photographs"
+    common = Extras(
+        rule=load_cascade_rule(MODELS / "cascade.json"),
+        cascaded=as_shipped(make_protocol(params), FIRST),
+        bounds=load_bounds(BOUNDS, kind),
+        kinds=read_frame(KindRecord, KINDS[kind]),
+        pictures={name: out / path for name, path in OF_OTHER_STAGES.items()},
+    )
     with single_threaded():
         if isinstance(params, StudyParams):
-            kind, extras = "study", study_extras(params, results, out)
+            extras = study_extras(params, results, common, out)
         else:
-            kind, extras = "photographs", photograph_extras(params, results, out)
+            extras = photograph_extras(params, results, common, out)
         write_report(results, params.report, extras, kind, out)
 
 

@@ -18,7 +18,7 @@ from epiprior_lab.bags.methods import MODES
 from epiprior_lab.bags.params import PATH, SfmParams, TwinParams, load_sfm_params
 from epiprior_lab.bags.twins import render_house
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.compute.tasks import Task, default_workers, map_tasks, single_threaded
+from epiprior_lab.compute.tasks import Task, map_tasks, single_threaded
 from epiprior_lab.evaluation import learned, peers
 from epiprior_lab.evaluation.protocol import MODELS
 from epiprior_lab.evaluation.sets import FOLDER
@@ -41,7 +41,7 @@ def twin_bags(params: TwinParams) -> list[Bag]:
         for name in (f"{style:02}a", f"{style:02}b"):
             own = {"name": name, "style_seed": shared, "seed": child_seed(params.seed, "house", name)}
             tasks.append(Task(name=name, payload={**own, **common}))
-    houses = map_tasks(render_house, tasks, workers=default_workers(), description="render twins", store=STORE)
+    houses = map_tasks(render_house, tasks, description="render twins", store=STORE)
     RENDERED.mkdir(parents=True, exist_ok=True)
     views: dict[str, list[View]] = defaultdict(list)
     for task, house in zip(tasks, houses, strict=True):
@@ -63,15 +63,13 @@ def match_learned_bags(bags: Sequence[Bag], peer: str) -> Mapping[str, dict[str,
     for bag in bags:
         images = tuple(view.image for view in bag.views)
         tasks.append(Task(name=f"{bag.name} {peer}", payload={"images": images, **how}, files=(*images, *files)))
-    options: dict[str, Any] = {"workers": default_workers(), "description": f"match bags, {peer}", "store": STORE}
-    found = map_tasks(match_bag, tasks, versions=False, **options)
+    found = map_tasks(match_bag, tasks, versions=False, description=f"match bags, {peer}", store=STORE)
     return {bag.name: {"learned": one, "learned_s": used} for bag, (one, used) in zip(bags, found, strict=True)}
 
 
 def measure_bags(bags: Sequence[Bag], params: SfmParams) -> list[BagRecord]:
     """Return the records of all bags by every method that is present."""
     models = tuple(sorted(path for path in MODELS.rglob("*") if path.suffix in (".json", ".onnx")))
-    common = {"mapper": params.mapper}
     cases: list[tuple[Bag, str, dict[str, Any]]] = [(bag, name, {}) for bag in bags for name in params.methods.names]
     kinds, sizes = params.methods.learned_kinds, params.methods.learned_sizes
     for peer in params.methods.learned or ():
@@ -81,9 +79,9 @@ def measure_bags(bags: Sequence[Bag], params: SfmParams) -> list[BagRecord]:
     tasks = []
     for bag, name, matches in cases:
         files = (*(view.image for view in bag.views), *(models if name in MODES else ()))
-        payload = {"bag": bag, "method": name, **common, **matches}
+        payload = {"bag": bag, "method": name, "mapper": params.mapper, **matches}
         tasks.append(Task(name=f"{bag.name} {name}", payload=payload, files=files))
-    done = map_tasks(measure_bag, tasks, workers=default_workers(), description="map bags", store=STORE)
+    done = map_tasks(measure_bag, tasks, description="map bags", store=STORE)
     return [record for records in done for record in records]
 
 

@@ -1,7 +1,6 @@
 """Platt scaling of classifiers' probabilities."""
 
 import contextlib
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit, logit
@@ -16,18 +15,6 @@ _ITERATIONS = 100
 
 class CalibrationError(EpipriorError, ValueError):
     """Probabilities cannot be calibrated: one class only, or they rank wrong matches before right ones."""
-
-
-@dataclass(frozen=True)
-class Platt:
-    """``sigmoid(a * logit(p) + b)`` with a slope ``a > 0``."""
-
-    a: float
-    b: float
-
-    def __call__(self, probability: FloatArray) -> FloatArray:
-        """Return calibrated probabilities, shape (N,)."""
-        return calibrate(probability, self.a, self.b)
 
 
 def fit_sigmoid(score: FloatArray, labels: BoolArray, start: tuple[float, float] | None = None) -> tuple[float, float]:
@@ -77,9 +64,9 @@ def fit_sigmoid(score: FloatArray, labels: BoolArray, start: tuple[float, float]
     return a, b
 
 
-def fit_platt(probability: FloatArray, labels: BoolArray) -> Platt:
-    """Fit Platt scaling to probabilities of rows that the classifier was not trained on, as `fit_sigmoid` does."""
-    return Platt(*fit_sigmoid(_logit(probability), labels))
+def fit_platt(probability: FloatArray, labels: BoolArray) -> tuple[float, float]:
+    """Return a and b of ``sigmoid(a * logit(p) + b)``, by `fit_sigmoid` on rows that p was not trained on."""
+    return fit_sigmoid(_logit(probability), labels)
 
 
 def cross_calibrate(probability: FloatArray, labels: BoolArray, fold: IntArray) -> FloatArray:
@@ -90,7 +77,7 @@ def cross_calibrate(probability: FloatArray, labels: BoolArray, fold: IntArray) 
         held = fold == number
         with contextlib.suppress(CalibrationError):
             start = fit_sigmoid(score[~held], labels[~held], start)
-            result[held] = Platt(*start)(probability[held])
+            result[held] = calibrate(probability[held], *start)
     return result
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epiprior.estimators.run import Described, describe_from_matches
+from epiprior.estimators.run import describe_from_matches
 from epiprior.types import BoolArray, Float32Array
 from epiprior.verification.confidence import CONFIDENCE_TARGETS
 from epiprior.verification.facts import COLUMNS, UNKNOWN
@@ -59,13 +59,14 @@ def case_facts(
     """Return the facts of all estimates that gave an F."""
     _, runs = case_runs(describe_from_matches, case, inputs, hand_overs)
     points = None if case.pair is None else case.pair.control_points()
-
-    def is_right(found: Described) -> bool:
-        return points is not None and found.F is not None and float(errors_px(found.F, *points).mean()) < success_px
-
-    kept = [found for _, _, found in runs if found.facts is not None]
-    rows = np.array([f.facts.row() for f in kept if f.facts is not None], np.float32).reshape(-1, len(COLUMNS))
-    return CaseFacts(case=case, rows=rows, right=np.array([is_right(found) for found in kept], np.bool_))
+    rows, right = [], []
+    for _, _, found in runs:
+        if found.facts is not None:
+            error = np.inf if points is None or found.F is None else float(errors_px(found.F, *points).mean())
+            rows.append(found.facts.row())
+            right.append(error < success_px)
+    table = np.array(rows, np.float32).reshape(-1, len(COLUMNS))
+    return CaseFacts(case=case, rows=table, right=np.array(right, np.bool_))
 
 
 def collect_facts(
@@ -75,7 +76,6 @@ def collect_facts(
     *,
     success_px: float,
     files: Sequence[Path],
-    workers: int,
     store: Path,
 ) -> list[CaseFacts]:
     """Return the facts of all cases; on true pairs all estimators run, on other kinds some."""
@@ -86,7 +86,7 @@ def collect_facts(
         how = {name: {kind: hand_overs[name][kind] for kind in params.inputs} for name in estimators}
         payload = {"case": case, "inputs": inputs, "hand_overs": how, "success_px": success_px}
         tasks.append(Task(name=case.name, payload=payload, files=(*case.files, *files)))
-    return map_tasks(case_facts, tasks, workers=workers, description="facts of estimates", store=store)
+    return map_tasks(case_facts, tasks, description="facts of estimates", store=store)
 
 
 def confidence_rows(facts: Sequence[CaseFacts], seed: int) -> dict[str, TargetRows]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,14 +82,3 @@ class TargetRows:
             digest.update(f"{array.dtype.str}{array.shape}".encode())
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
-
-    def save(self, file: Path) -> None:
-        """Write an ``.npz`` file; the same rows give the same bytes."""
-        np.savez(file, **vars(self))
-
-    @classmethod
-    def load(cls, file: Path) -> TargetRows:
-        """Read what `save` wrote."""
-        with np.load(file, allow_pickle=False) as stored:
-            arrays = dict(stored)
-        return cls(**{**arrays, "target": str(arrays["target"]), "columns": tuple(arrays["columns"].tolist())})

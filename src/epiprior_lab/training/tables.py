@@ -28,8 +28,8 @@ def write_training(folder: Path, comparisons: Sequence[Comparison]) -> None:
         (folder / f"{name}.csv").write_text(table(comparisons), encoding="utf-8")
     data = [comparison.data for comparison in comparisons]
     sha256 = hashlib.sha256("".join(rows.digest() for rows in data).encode()).hexdigest()
-    training_data: dict[str, Any] = {"sha256": sha256, "scenes": len(np.unique(data[0].scene))}
-    training_data["rankings"] = len(data[0].pairs)
+    scenes, rankings = len(np.unique(data[0].scene)), len(data[0].pairs)
+    training_data: dict[str, Any] = {"sha256": sha256, "scenes": scenes, "rankings": rankings}
     summary: dict[str, Any] = {"training_data": training_data}
     parity: dict[str, Any] = {}
     for comparison in comparisons:
@@ -41,7 +41,7 @@ def write_training(folder: Path, comparisons: Sequence[Comparison]) -> None:
         measures = {"mean": grouped.metrics, "deviation": grouped.deviations()}
         measures |= {"calibrated": grouped.calibrated_metrics, "ungrouped": comparison.ungrouped.metrics}
         summary[target] = {"family": comparison.exported, "columns": list(rows.columns)}
-        summary[target] |= {"a": comparison.platt.a, "b": comparison.platt.b}
+        summary[target] |= dict(zip("ab", comparison.platt, strict=True))
         summary[target]["metrics"] = {
             name: {key: float(found[name]) for key, found in measures.items() if np.isfinite(found[name])}
             for name in METRICS
@@ -94,24 +94,12 @@ def curves_csv(comparisons: Iterable[Comparison]) -> str:
 
 
 def importances_csv(comparisons: Iterable[Comparison]) -> str:
-    """Return the importances of the exported classifiers; no rows if a classifier has none."""
+    """Return the importances of the exported classifiers."""
     lines: list[Sequence[Any]] = []
     for comparison in comparisons:
-        if comparison.refit.importances is not None:
-            for column, value in zip(comparison.data.columns, comparison.refit.importances, strict=True):
-                lines.append((comparison.data.target, comparison.exported, column, f"{value:.6g}"))
+        for column, value in zip(comparison.data.columns, comparison.refit.importances, strict=True):
+            lines.append((comparison.data.target, comparison.exported, column, f"{value:.6g}"))
     return _csv("target family column importance", lines)
-
-
-def seconds_csv(comparisons: Iterable[Comparison]) -> str:
-    """Return the times to predict, which are never among the results of the study."""
-    lines = [
-        (comparison.data.target, family, fold, f"{seconds:.6f}")
-        for comparison in comparisons
-        for family, item in sorted(comparison.grouped.items())
-        for fold, seconds in enumerate(item.seconds_per_10000_rows)
-    ]
-    return _csv("target family fold seconds_per_10000_rows", lines)
 
 
 def _csv(header: str, lines: Sequence[Sequence[Any]]) -> str:

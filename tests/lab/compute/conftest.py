@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from joblib.externals.loky import get_reusable_executor
 
 from epiprior_lab.compute.source_graph import source_files
 
@@ -80,7 +79,6 @@ def interrupt(value):
 def work_module(tmp_path_factory):
     folder = tmp_path_factory.mktemp("work")
     (folder / "work.py").write_text(WORK, encoding="utf-8")
-    get_reusable_executor().shutdown(wait=True)  # workers that earlier tests left waiting would not find it
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
         patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
@@ -88,7 +86,6 @@ def work_module(tmp_path_factory):
         import work
 
         yield work
-    get_reusable_executor().shutdown(wait=True)
     del sys.modules["work"]
 
 

@@ -1,6 +1,7 @@
 """The search of hand-overs: what is varied, what is tried, when a setting is left."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,9 +27,8 @@ def fake_files():
     """Return matches of one pair: the same of each input."""
     names = ("standard", "snn", "generalized", "default")
     matches = inputs.PairMatches(sets=dict.fromkeys(names, (make_pair().matches,)), pixel_factors=(1.0, 1.0))
-    files = SimpleNamespace(paths={}, read=lambda: matches)
-    files.only = lambda names: files
-    return files
+    own = {n: replace(matches, sets={n: matches.sets[n]}) for n in names}
+    return SimpleNamespace(only=lambda names: SimpleNamespace(paths={}, read=lambda: own[names[0]]))
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def search(monkeypatch):
             return error(estimator, hand_over)
 
         monkeypatch.setattr(hand_over_search, "best_fundamental", best_fundamental)
-        return hand_over_search.search_hand_overs(pairs, inputs=SEARCHED, params=PARAMS)
+        return hand_over_search.search_hand_overs(pairs, inputs=SEARCHED, params=PARAMS, files=(), store=Path())
 
     for name, fake in {
         "map_tasks": lambda function, tasks, **_: [function(**task.payload) for task in tasks],
@@ -77,17 +77,15 @@ def test_search_finds_the_best_hand_over(search):
     # Where nothing matters, or nothing is found, the starting point stays.
     for place in (("prosac", "default"), ("epiprior", "default"), ("epiprior", "generalized")):
         assert best[place].how == default_hand_over(*place)
-    tried = [(t.estimator, t.input, t.how) for t in trials]
+    tried = [(t.place, t.how) for t in trials]
     assert len(tried) == len(set(tried))
-    seeds = [1 if name == "epiprior" else 2 for name, _, _ in tried]  # that is deterministic
+    seeds = [1 if name == "epiprior" else 2 for (name, _), _ in tried]  # that is deterministic
     assert len(search.calls) == 2 * sum(seeds)  # nothing runs twice
     table = hand_over_search.trial_table(best, trials)
     assert table["chosen"].sum() == len(best) == 6
     row = table[table["chosen"]].set_index(["estimator", "input"]).loc[("usac", "default")]
     assert (row["step"], row["top_k"], row["pairs"], row["successes_10"]) == ("one_to_one", 300, 2, 2.0)
-    chosen = hand_over_search.chosen_hand_overs(best)
-    assert {e: tuple(found) for e, found in chosen.items()} == SEARCHED
-    assert chosen["usac"]["standard"] == best["usac", "standard"].how
+    assert list(best) == [(estimator, name) for estimator, names in SEARCHED.items() for name in names]
 
 
 def test_every_input_is_searched_by_what_matters_for_it():
@@ -103,7 +101,7 @@ def test_every_input_is_searched_by_what_matters_for_it():
 
 
 def trial(errors, top_k=None):
-    return Trial(estimator="usac", input="snn", step="top_k", how=HandOver(top_k=top_k), errors_px=np.array(errors))
+    return Trial(place=("usac", "snn"), step="top_k", how=HandOver(top_k=top_k), errors_px=np.array(errors))
 
 
 def test_score_counts_both_thresholds_and_a_hand_over_is_left_only_for_gains_above_their_standard_error():
@@ -137,34 +135,10 @@ def test_equal_matches_are_estimated_once(pairs, monkeypatch, tmp_path):
     [files] = inputs.store_matches(pairs[:1], ("standard", "snn"), tmp_path)
     how = HandOver(max_distance_ratio=0.9, threshold_px=1.0)
     changes = ({}, {"max_distance_ratio": None}, {"top_k": 10_000}, {"top_k": 50}, {"threshold_px": 2.0})
-    candidates = [*(("snn", replace(how, **change)) for change in changes), ("standard", how)]  # three alike
+    hows = [replace(how, **change) for change in changes]  # the first three hand over the same
     calls = note_calls(monkeypatch, hand_over_search, "best_fundamental")
-    how_tried = {"pair": pairs[0], "matches": files, "estimator": "usac", "candidates": candidates, "seeds": (0, 1)}
-    got = hand_over_search.candidate_errors(**how_tried)
-    assert [options["seed"] for _, options in calls] == [child_seed(seed, "relief-0") for seed in (0, 1)] * 4
+    tried = {"pair": pairs[0], "matches": files.only(("snn",)), "place": ("usac", "snn"), "hows": hows, "seeds": (0, 1)}
+    got = hand_over_search.candidate_errors(**tried)
+    assert [options["seed"] for _, options in calls] == [child_seed(seed, "relief-0") for seed in (0, 1)] * 3
     assert (got < 1).all()
     np.testing.assert_array_equal(got[:3], got[[0, 0, 0]])
-    # What an earlier step found for the same matches, threshold and refinement is not run again either.
-    calls.clear()
-    again = hand_over_search.candidate_errors(**how_tried, known={"snn": (replace(how, top_k=9_999), (11.0, np.nan))})
-    assert len(calls) == 3 * 2
-    np.testing.assert_array_equal(again[:3], [[11.0, np.nan]] * 3)
-    np.testing.assert_array_equal(again[3:], got[3:])
-
-
-def test_a_step_of_the_search_knows_the_best_of_the_one_before(search, monkeypatch):
-    told = []
-
-    def candidate_errors(*, pair, estimator, candidates, seeds, known, **_):
-        told.append((pair.pair_id, estimator, known))
-        return np.array([[len(told) + len(str(how))] * len(seeds) for _, how in candidates], float)
-
-    monkeypatch.setattr(hand_over_search, "candidate_errors", candidate_errors)
-    _, trials = search.run(None)
-    usac = [(pair, known) for pair, estimator, known in told if estimator == "usac"]
-    assert [known for _, known in usac[:2]] == [{}, {}]
-    for number, (_, known) in enumerate(usac[2:4]):
-        assert set(known) == {"standard", "default"}
-        for name, (how, errors) in known.items():
-            (found,) = [t for t in trials if (t.estimator, t.input, t.how) == ("usac", name, how)]
-            assert errors == tuple(found.errors_px[number])

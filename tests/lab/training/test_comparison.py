@@ -1,10 +1,9 @@
-"""Comparison of all families on both classifiers of both presets, on made-up rows; tables and tracked runs."""
+"""Comparison of all families on both classifiers of both presets, on made-up rows, and their tables."""
 
 import csv
 import io
 import json
 import pickle
-import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,20 +11,18 @@ import pytest
 
 from epiprior.errors import SettingsError
 from epiprior.presets import SECOND_ROUND_COLUMNS, find_preset
-from epiprior.ranking.models import TARGETS
-from epiprior_lab.params import ExportedFamilies, TrainParams
+from epiprior.ranking.models import TARGETS, calibrate
+from epiprior_lab.params import TrainParams
 from epiprior_lab.training import comparison
 from epiprior_lab.training.comparison import train
-from epiprior_lab.training.cross_validation import METRICS
 from epiprior_lab.training.samples import Sample, TargetRows
-from epiprior_lab.training.tables import curves_csv, importances_csv, metrics_csv, seconds_csv, write_training
-from epiprior_lab.training.tracked_runs import tracked_runs
+from epiprior_lab.training.tables import curves_csv, importances_csv, metrics_csv, write_training
 from grouped_rows import COLUMNS, make_rows
 
 pytestmark = pytest.mark.slow
 ROWS = make_rows(3000)
 FAMILIES = ("tree", "svm", "lightgbm")
-EXPORTED = ExportedFamilies(paper="tree", default="lightgbm", confidence="lightgbm")
+EXPORTED = {"paper": "tree", "default": "lightgbm", "confidence": "lightgbm"}
 CAPS = {"max_rows_per_pair": 100, "max_rows": 600, "max_forest_rows": 400, "max_svm_rows": 400}
 PARAMS = TrainParams(seed=3, folds=3, families=FAMILIES, exported=EXPORTED, **CAPS)
 
@@ -39,7 +36,7 @@ def drawn():
     return TargetRows.stack("match", COLUMNS, samples)
 
 
-def test_a_sample_keeps_order_and_share_and_its_digest_survives_the_file(tmp_path):
+def test_a_sample_keeps_order_and_share_and_its_digest_is_of_what_it_holds():
     data = drawn()
     assert len(data.pairs) == 24
     for kept, every, share in zip(data.slices, ROWS.slices, data.share, strict=True):
@@ -48,8 +45,7 @@ def test_a_sample_keeps_order_and_share_and_its_digest_survives_the_file(tmp_pat
         positions = [np.flatnonzero((row == rows).all(axis=1))[0] for row in here]
         assert positions == sorted(positions)
     np.testing.assert_array_equal(data.scene, np.repeat(ROWS.scenes, data.lengths))
-    data.save(tmp_path / "rows.npz")
-    assert TargetRows.load(tmp_path / "rows.npz").digest() == data.digest() == drawn().digest()
+    assert data.digest() == drawn().digest()
     changed = drawn()
     changed.labels[3] = ~changed.labels[3]
     assert data.digest() != changed.digest()
@@ -75,50 +71,34 @@ def trained(tmp_path_factory):
         about = {"preset": file.parent.name, "pair": file.stem, "scene": file.stem[:-2]}
         return SimpleNamespace(**about, rows=rows, two_keypoints=found, two_keypoint_labels=ROWS.labels[rows])
 
-    def match_rows(found, probability):
-        votes[found.preset, found.pair] = probability
-        described = np.column_stack([probability, ROWS.rows[found.rows]])
-        return wide(described, find_preset(found.preset).match_columns), found.two_keypoint_labels
-
-    def second_round_sample(found, probability, first_round):
-        described, labels = match_rows(found, probability)
-        return wide(np.column_stack([first_round(described), described]), SECOND_ROUND_COLUMNS), labels
+    def voted_rows(found, first, second=None):
+        columns = find_preset(found.preset).two_keypoint_columns
+        votes[found.preset, found.pair] = first(found.two_keypoints.select(columns))
+        described = np.column_stack([votes[found.preset, found.pair], ROWS.rows[found.rows]])
+        matches = wide(described, find_preset(found.preset).match_columns)
+        if second is not None:
+            matches = wide(np.column_stack([second(matches), matches]), SECOND_ROUND_COLUMNS)
+        return matches, found.two_keypoint_labels
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "read_rows", read_rows)
-        patch.setattr(comparison, "match_rows", match_rows)
-        patch.setattr(comparison, "second_round_sample", second_round_sample)
-        return train(folders, PARAMS, workers=1, store=root / "store"), votes
+        patch.setattr(comparison, "voted_rows", voted_rows)
+        patch.setenv("EPIPRIOR_WORKERS", "1")
+        return {preset: train(preset, folder, PARAMS, root / "store") for preset, folder in folders.items()}, votes
 
 
-def test_all_families_that_are_asked_for_are_compared_and_tracked(trained):
+def test_all_families_that_are_asked_for_are_compared(trained):
     trained, _ = trained
     assert list(trained) == ["paper", "default"]
     for preset, exported in (("paper", "tree"), ("default", "lightgbm")):
         targets = TARGETS if preset == "default" else TARGETS[:2]
         for found, target in zip(trained[preset], targets, strict=True):
-            assert (found.preset, found.exported, found.data.target) == (preset, exported, target)
+            assert (found.model, found.exported, found.data.target) == (preset, exported, target)
             assert list(found.grouped) == [*FAMILIES]
             assert all(item.probability.shape == found.data.labels.shape for item in found.grouped.values())
             assert found.ungrouped.calibrated is None
-            assert found.platt.a > 0
+            assert found.platt[0] > 0
             assert len(found.refit.parity_rows) == len(found.refit.parity_probability) == 2000
-    runs = {run.tags["family"]: run for run in tracked_runs(trained["paper"][1], {"seed": 3})}
-    assert list(runs) == [*FAMILIES]
-    exported, other = runs["tree"], runs["svm"]
-    assert exported.tags == {"preset": "paper", "target": "match", "family": "tree", "exported": "true"}
-    assert exported.name == "paper-tree"
-    for name in METRICS:
-        for run in (exported, other):
-            assert {name, f"{name}.deviation", f"calibrated.{name}"} <= run.metrics.keys()
-        assert (f"ungrouped.{name}" in exported.metrics, f"ungrouped.{name}" in other.metrics) == (True, False)
-    assert all(re.fullmatch(r"[\w./-]+", name) for name in exported.metrics)
-    assert (exported.parameters["seed"], exported.parameters["rows"]) == (3, len(trained["paper"][1].data.rows))
-    assert [set(fold) >= set(METRICS) - {"precision"} for fold in exported.folds] == [True] * 3
-    figures = ["precision_recall.png", "reliability.png"]
-    assert (sorted(exported.figures), sorted(other.figures)) == (["importances.png", *figures], figures)
-    assert (exported.onnx, other.onnx) == (trained["paper"][1].refit.onnx, None)
-    assert exported.rows.shape == (5, 3)
 
 
 def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained):
@@ -129,7 +109,7 @@ def test_votes_come_from_a_classifier_that_never_saw_the_scene(trained):
             number = found.fold[kept][0]
             classifier = pickle.loads(found.classifiers[number])
             rows = wide(ROWS.rows[every], first.data.columns)
-            np.testing.assert_array_equal(votes[preset, pair], first.platt(classifier.probability(rows)))
+            np.testing.assert_array_equal(votes[preset, pair], calibrate(classifier.probability(rows), *first.platt))
             assert pair[:-2] not in set(first.data.scene[found.fold != number].tolist())
 
 
@@ -151,7 +131,6 @@ def test_tables_and_what_else_training_writes_and_a_folder_without_rows_is_named
     assert value["tree", "false", "all", "log_loss"] == found.ungrouped.metrics["log_loss"]
     assert ("tree", "false", "0", "precision_top_100") not in value
     assert not any("second" in metric for *_, metric in value)
-    assert {r["fold"] for r in table(seconds_csv([found]))} == {"0", "1", "2"}
     rows = [r for r in table(curves_csv([found])) if (r["family"], r["grouped"]) == ("tree", "true")]
     curve = [r for r in rows if r["curve"] == "precision_recall"]
     assert (float(curve[-1]["x"]), int(curve[-1]["count"])) == (1, len(found.data.labels))
@@ -171,4 +150,4 @@ def test_tables_and_what_else_training_writes_and_a_folder_without_rows_is_named
     assert summary["training_data"]["match_rows"] == len(trained["paper"][1].data.rows)
     assert set(summary["match"]["metrics"]["log_loss"]) == {"mean", "deviation", "calibrated", "ungrouped"}
     with pytest.raises(SettingsError, match="run the stage features first"):
-        train({"paper": tmp_path}, PARAMS, workers=1, store=tmp_path)
+        train("paper", tmp_path, PARAMS, tmp_path)

@@ -3,7 +3,7 @@ import onnx
 import onnxruntime
 import pytest
 
-from epiprior_lab.training.families import FAMILIES, fit
+from epiprior_lab.training.families import fit
 from epiprior_lab.training.onnx_graphs import to_onnx
 from grouped_rows import make_rows
 
@@ -35,19 +35,14 @@ def rows_on_thresholds(fitted):
     return rows
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", ["tree", "random-forest", "lightgbm"])
 def test_a_graph_predicts_what_was_fitted_and_carries_nothing_that_changes(family):
-    fitted = fit(family, ROWS.rows, ROWS.labels, seed=1, max_rows={"svm": 1500, "random-forest": 600}.get(family))
+    fitted = fit(family, ROWS.rows, ROWS.labels, seed=1, max_rows={"random-forest": 600}.get(family))
     others = np.random.default_rng(3).normal(scale=10, size=(500, 5)).astype(np.float32)
-    for rows in (ROWS.rows, others, rows_on_thresholds(fitted) if family != "svm" else others):
+    for rows in (ROWS.rows, others, rows_on_thresholds(fitted)):
         assert np.abs(exported(fitted, rows) - fitted.probability(rows)).max() < 1e-6
     model = onnx.load_from_string(to_onnx(fitted))
     assert (model.producer_name, model.producer_version, model.doc_string) == ("epiprior", "", "")
     assert model.graph.name == "epiprior"
     assert not model.metadata_props
     assert [item.name for item in model.graph.output] == ["probability"]
-
-
-def test_another_class_is_refused():
-    with pytest.raises(TypeError, match="no ONNX export for int"):
-        to_onnx(3)

@@ -1,21 +1,17 @@
 """Tasks on a cluster: a scheduler and two workers, each a process of its own on this machine."""
 
 import contextlib
-import inspect
 import json
 import subprocess
 import sys
 import threading
 import time
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
-from joblib.externals.loky import process_executor
 
 from epiprior.errors import SettingsError
-from epiprior_lab.compute.executors import open_pool
 from epiprior_lab.compute.tasks import Task, TaskError, map_tasks
 from pictures import relief_pair, save
 
@@ -97,19 +93,20 @@ def no_client_left():
     assert "IO loop" not in {thread.name for thread in threading.enumerate()}
 
 
-def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(cluster, work, tmp_path):
+def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(cluster, work, tmp_path, monkeypatch):
     cluster.ensure(workers=2)
     paths = [save(tmp_path / f"{k}.png", relief_pair(160, 120, seed=k)[0]) for k in range(TASKS)]
     tasks = [Task(name=path.name, payload={"path": str(path)}, files=(path,)) for path in paths]
 
-    def run(name, **where):
-        map_tasks(work.describe, tasks, workers=1, description=name, store=tmp_path / name, **where)
+    def run(name):
+        map_tasks(work.describe, tasks, workers=1, description=name, store=tmp_path / name)
         return {path.name: path.read_bytes() for path in (tmp_path / name).glob("*.result")}
 
     alone = run("alone")
     assert len(alone) == TASKS
+    monkeypatch.setenv("EPIPRIOR_SCHEDULER", cluster.address)
     with killed(cluster.workers[0], tmp_path / "cluster", 3) as at_kill:
-        assert run("cluster", scheduler=cluster.address) == alone
+        assert run("cluster") == alone
     assert at_kill[0] < TASKS
     assert cluster.workers[0].wait(timeout=10) != 0
 
@@ -128,24 +125,26 @@ def test_tasks_of_a_cluster_have_one_thread_each_and_their_own_arrays(cluster, w
     assert all((array == 0).all() for array in arrays)
 
 
-def test_the_first_failure_on_a_cluster_is_named(cluster, work, tmp_path):
+def test_the_first_failure_on_a_cluster_is_named(cluster, work, tmp_path, monkeypatch):
     cluster.ensure(workers=1)
+    monkeypatch.setenv("EPIPRIOR_SCHEDULER", cluster.address)
     values = [0, 3, 5, *range(6, 26, 2)]
     tasks = [Task(name=str(v), payload={"seconds": 0.5 if v == 3 else 0.05, "value": v}) for v in values]
-    store, where = tmp_path / "store", {"workers": 1, "scheduler": cluster.address}
+    store = tmp_path / "store"
     with pytest.raises(TaskError, match="odd or even: task '3' failed: ValueError: 3 is odd"):
-        map_tasks(work.fail_after, tasks, description="odd or even", store=store, **where)
+        map_tasks(work.fail_after, tasks, description="odd or even", store=store)
     assert 1 <= len(list(store.iterdir())) < len(tasks) - 2
-    folder = map_tasks(work.fail_after, tasks[:1], description="folder", **where)
+    folder = map_tasks(work.fail_after, tasks[:1], description="folder")
     assert folder == [str(Path.cwd())]  # not the folder that the worker was started in
 
 
-def test_a_lost_scheduler_is_told_and_what_was_ready_is_kept(cluster, work, tmp_path):
+def test_a_lost_scheduler_is_told_and_what_was_ready_is_kept(cluster, work, tmp_path, monkeypatch):
     cluster.ensure(workers=1)
+    monkeypatch.setenv("EPIPRIOR_SCHEDULER", cluster.address)
     tasks = [Task(name=f"pair {v}", payload={"seconds": 0.1, "value": 2 * v}) for v in range(200)]
     store = tmp_path / "store"
     with killed(cluster.scheduler, store, 5), pytest.raises(TaskError, match="scheduler was lost"):
-        map_tasks(work.fail_after, tasks, workers=1, description="work", store=store, scheduler=cluster.address)
+        map_tasks(work.fail_after, tasks, description="work", store=store)
     assert 5 <= len(list(store.glob("*.result"))) < 200
 
 
@@ -160,20 +159,3 @@ def test_an_address_without_a_scheduler_and_a_missing_package_are_named(work, mo
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(SettingsError, match=r"epiprior\[cluster\]"):
         map_tasks(work.threads, tasks, **how)
-
-
-def test_a_scheduler_without_workers_is_named(work, tmp_path, monkeypatch):
-    monkeypatch.setattr("epiprior_lab.compute.executors._FIRST_WORKER_SECONDS", 0.2)
-    with contextlib.closing(Cluster(tmp_path)) as cluster:
-        cluster.ensure(workers=0)
-        with pytest.raises(SettingsError, match=r"no worker within 0\.2 s"):
-            open_pool(workers=1, scheduler=cluster.address).__enter__()
-
-
-def test_a_worker_that_grew_is_replaced_without_a_word():
-    text = "A worker stopped while some jobs were given to the "
-    assert text in inspect.getsource(process_executor)
-    with open_pool(workers=2, scheduler=None):
-        warnings.warn(f"{text}executor. This can be caused by a memory leak.", UserWarning, stacklevel=1)
-    with pytest.warns(UserWarning, match=text):
-        warnings.warn(f"{text}executor.", UserWarning, stacklevel=1)
