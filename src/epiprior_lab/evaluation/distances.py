@@ -30,14 +30,8 @@ def _one_way(
 ) -> float:
     drawn = rng.uniform(0, np.array(sizes[0]) - 1.0, (_DRAWS_PER_POINT * points, 2))
     share = rng.uniform(size=len(drawn))
-    x1, x2 = np.empty((0, 2)), np.empty((0, 2))
-    for start in range(0, len(drawn), points):  # most lines meet the other image: the first draws nearly always do
-        part = slice(start, start + points)
-        on_line, met = points_on_lines(_homogeneous(drawn[part]) @ F.T, sizes[1], share[part])
-        x1, x2 = np.concatenate([x1, drawn[part][met]]), np.concatenate([x2, on_line[met]])
-        if len(x1) >= points:
-            break
-    x1, x2 = x1[:points], x2[:points]
+    on_line, met = points_on_lines(_homogeneous(drawn) @ F.T, sizes[1], share)
+    x1, x2 = drawn[met][:points], on_line[met][:points]
     if not len(x1):
         return 1.0
     in_second = _distance(_homogeneous(x1) @ other.T, x2) / np.hypot(*sizes[1])

@@ -62,12 +62,9 @@ class PairMatches:
     features: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
-def match_pair(pair: Pair, inputs: Sequence[str], *, detected: DetectedPair | None = None) -> PairMatches:
-    """Match one pair in every asked way, in that order; its images are read unless `detected` holds their features.
-
-    SettingsError if an input is unknown.
-    """
-    return match_detected(detected or detect_pair(pair), inputs)
+def match_pair(pair: Pair, inputs: Sequence[str]) -> PairMatches:
+    """Match one pair in every asked way, in that order; SettingsError if an input is unknown."""
+    return match_detected(detect_pair(pair), inputs)
 
 
 def match_detected(found: DetectedPair, inputs: Sequence[str]) -> PairMatches:

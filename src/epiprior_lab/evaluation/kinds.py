@@ -5,7 +5,7 @@ pairs have the kind ``pair``; the others are made of their images by code, see `
 ``doppelganger``, two different facades in one style.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -15,7 +15,7 @@ import numpy as np
 
 from epiprior.estimators.run import estimate_from_matches
 from epiprior.features.images import read_image
-from epiprior.types import FundamentalEstimate, Geometry, Status
+from epiprior.types import FundamentalEstimate, Geometry, MatchSet, Status
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.inputs import FIRST, PREPROCESSED, PairMatches, match_detected
@@ -143,7 +143,8 @@ def case_records(
     matches, runs = case_runs(estimate_from_matches, case, inputs, hand_overs)
     by = {(estimator, name): one for estimator, name, one in runs}
     found = [*runs, *((e, CASCADE, rule.choose(by[e, FIRST], by[e, PREPROCESSED])) for e in cascaded)]
-    found += [(COLMAP, "snn", one) for one in _colmap(matches, case.seed)]
+    if "snn" in matches.sets:
+        found.append((COLMAP, "snn", _colmap(matches.sets["snn"][0], case.seed)))
     # Errors are meant at working size; control points are given pixels.
     unit = max(matches.pixel_factors)
     about = {"group": group, "pair_id": case.name, "scene": case.block, "kind": case.kind}
@@ -163,13 +164,10 @@ def case_records(
     ]
 
 
-def _colmap(matches: PairMatches, seed: int) -> Iterator[FundamentalEstimate]:
-    """Yield what COLMAP's verification says of mutual nearest neighbours; support counts only where it gives an F."""
+def _colmap(given: MatchSet, seed: int) -> FundamentalEstimate:
+    """Return what COLMAP's verification says of matches; support counts only where it gives an F."""
     import pycolmap
 
-    if "snn" not in matches.sets:
-        return
-    (given,) = matches.sets["snn"]
     assert given.image_sizes is not None
     cameras = []
     for width, height in given.image_sizes:
@@ -185,7 +183,7 @@ def _colmap(matches: PairMatches, seed: int) -> Iterator[FundamentalEstimate]:
     flat = answer.config in (kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC)
     inliers = np.zeros(len(given), np.bool_)
     inliers[np.asarray(answer.inlier_matches, np.int64).reshape(-1, 2)[:, 0]] = general or flat
-    yield FundamentalEstimate(
+    return FundamentalEstimate(
         status=Status.OK if general else Status.DEGENERATE if flat else Status.NO_MODEL,
         F=None if not general or answer.F is None else _SHIFT.T @ np.asarray(answer.F) @ _SHIFT,
         x1=given.x1,

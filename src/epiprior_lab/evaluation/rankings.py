@@ -13,7 +13,7 @@ import numpy as np
 
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.matching.roll import expected_roll, orientation_differences
-from epiprior.types import BoolArray, FloatArray, IntArray, MatchSet
+from epiprior.types import BoolArray, IntArray, MatchSet
 from epiprior_lab.evaluation.inputs import PRESETS, MatchFiles
 from epiprior_lab.evaluation.records import RANKS, CalibrationRecord, PairRecord, RankingRecord, Record
 from epiprior_lab.evaluation.truth import TruthSettings, pair_truth, true_roll_deg
@@ -59,7 +59,7 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
     `matches` are those of all inputs; without ``standard`` the difficulty stays unknown.
     """
     sets, known = matches.read().sets, pair_truth(pair, truth)
-    key = {"group": group, "pair_id": pair.pair_id, "scene": pair.scene}
+    key: dict[str, Any] = {"group": group, "pair_id": pair.pair_id, "scene": pair.scene}
     share = float("nan")
     records: list[Record] = []
     for name in sets if known.labels else ():
@@ -69,6 +69,7 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
         if name == "standard":
             share = float(right.mean()) if len(right) else 0.0
         orders = ranking_orders(ranked) if name in PRESETS else {"final": np.arange(len(ranked))}
+        features1, features2 = matches.features[name]
         for ranking, order in orders.items():
             hits = right[walked(ranked, order)]
             records.append(
@@ -76,8 +77,8 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
                     **key,
                     input=name,
                     ranking=ranking,
-                    features1=matches.features[name][0],
-                    features2=matches.features[name][1],
+                    features1=features1,
+                    features2=features2,
                     matches=len(hits),
                     right=int(np.count_nonzero(hits)),
                     average_precision=average_precision(hits),
@@ -85,17 +86,20 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
                 )
             )
         if name in PRESETS:
-            records += _calibration(key, name, ranked.probability, right)
+            sums = vars(calibration_bins(ranked.probability, right))
+            for k in range(len(sums["count"])):
+                own = {column: values[k].item() for column, values in sums.items()}
+                records.append(CalibrationRecord(**key, input=name, bin=k, **own))
     roll = float("nan")
     if "default" in sets and len(sets["default"][0]):  # read from the matches of X_L and X_B (section 4.2)
         ranked = sets["default"][0]
         standard = (ranked.distance_ratio < 1) | (ranked.similarity_weight > 0)
         roll = float(expected_roll(orientation_differences(ranked.orientation1_deg, ranked.orientation2_deg)[standard]))
-    features = next(iter(matches.features.values()))
+    features1, features2 = next(iter(matches.features.values()))
     about = PairRecord(
         **key,
-        features1=features[0],
-        features2=features[1],
+        features1=features1,
+        features2=features2,
         labels=known.labels,
         points=known.points,
         right_share=share,
@@ -104,14 +108,3 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
         expected_roll_deg=roll,
     )
     return [about, *records]
-
-
-def _calibration(key: dict[str, str], name: str, probability: FloatArray, right: BoolArray) -> list[CalibrationRecord]:
-    sums = calibration_bins(probability, right)
-    bins = zip(sums.count, sums.right, sums.probability, sums.squared_error, strict=True)
-    return [
-        CalibrationRecord(
-            **key, input=name, bin=b, count=int(n), right=int(hits), probability=float(p), squared_error=float(error)
-        )
-        for b, (n, hits, p, error) in enumerate(bins)
-    ]

@@ -1,6 +1,5 @@
 """The rows of the evaluation's tables, and the four tables themselves: a field is a column, named nowhere else."""
 
-import types
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,7 +12,6 @@ from epiprior_lab.measures import log_ranks
 
 RANKS = tuple(sorted({*(int(rank) for rank in log_ranks(10_000, per_decade=10)), 10, 100, 500}))
 RANKINGS = ("lowe", "blogs", "2keypoint", "sfm", "final")  # of ranked inputs; others have `final` alone
-DIFFICULTIES = ("easy", "medium", "hard")
 CASCADE = "cascade"  # in the column `input` of timings and of pairs of kinds
 
 
@@ -37,7 +35,7 @@ class PairRecord(Record):
     `labels` is what decides whether a match is right: ``depth``, ``plane`` (a homography), ``epipolar`` (the true F),
     ``control_points`` (an F fitted to them), empty where nothing does. Estimates are measured at `points`:
     ``control_points``, or points that the ``cameras`` allow. `right_share` is the share of right matches of X_L, by
-    which `difficulty` is one of `DIFFICULTIES`; NaN and empty without labels. `true_roll_deg`, in (-180, 180], is the
+    which `difficulty` is easy, medium or hard; NaN and empty without labels. `true_roll_deg`, in (-180, 180], is the
     roll between the cameras; `expected_roll_deg` the highest peak of its density over X_L and X_B; NaN where unknown.
     """
 
@@ -151,14 +149,8 @@ _DTYPES: dict[Any, str] = {str: "object", int: "int64", float: "float64", bool: 
 def column_types(record: type[Record]) -> dict[str, str]:
     """Return the columns of a record's table in order, with their pandas types."""
     hints = get_type_hints(record)
-    columns: dict[str, str] = {}
-    for f in fields(record):
-        hint = hints[f.name]
-        if isinstance(hint, types.GenericAlias):
-            columns |= dict.fromkeys((right_column(rank) for rank in RANKS), "int64")
-        else:
-            columns[f.name] = _DTYPES[hint]
-    return columns
+    last = [right_column(rank) for rank in RANKS] if hints.pop("right_at", None) else []
+    return {name: _DTYPES[hint] for name, hint in hints.items()} | dict.fromkeys(last, "int64")
 
 
 def right_column(rank: int) -> str:
@@ -176,24 +168,32 @@ def to_frame(record: type[Record], records: Iterable[Record]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(columns)).astype(columns)
 
 
-def write_frame(table: pd.DataFrame, path: Path) -> None:
-    """Write a CSV file: seven significant digits, empty cells for NaN."""
+def write_frame(table: pd.DataFrame, path: Path, *, digits: int = 7) -> None:
+    """Write a CSV file: so many significant digits, empty cells for NaN."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    table.to_csv(path, index=False, float_format="%.7g", lineterminator="\n")
+    table.to_csv(path, index=False, float_format=f"%.{digits}g", lineterminator="\n")
+
+
+def read_table(path: Path, columns: str, **how: Any) -> pd.DataFrame:
+    """Read a CSV file that must have certain columns, separated by blanks; a TableError names what is missing.
+
+    `how` is as for `pandas.read_csv`.
+    """
+    try:
+        table: pd.DataFrame = pd.read_csv(path, **how)
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise TableError(f"{path}: cannot be read as a table: {error}") from error
+    missing = [name for name in columns.split() if name not in table.columns]
+    if missing:
+        raise TableError(f"{path}: no column {missing[0]!r}")
+    return table
 
 
 def read_frame(record: type[Record], path: Path) -> pd.DataFrame:
     """Read what `write_frame` wrote; names stay text, whatever they look like. TableError if it is no such table."""
     columns = column_types(record)
     numbers = {name: [""] for name, kind in columns.items() if kind in ("float64", "Int64")}
-    try:
-        table = pd.read_csv(path, dtype=columns, na_values=numbers, keep_default_na=False)
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise TableError(f"{path}: cannot be read as a table: {error}") from error
-    missing = [name for name in columns if name not in table.columns]
-    if missing:
-        raise TableError(f"{path}: no column {missing[0]!r}")
-    return table[list(columns)]
+    return read_table(path, " ".join(columns), dtype=columns, na_values=numbers, keep_default_na=False)[list(columns)]
 
 
 class TableSet:
@@ -225,19 +225,16 @@ class TableSet:
             write_frame(getattr(self, name), folder / f"{name}.csv")
 
 
-RECORDS: dict[str, type[Record]] = {
-    "pairs": PairRecord,
-    "runs": RunRecord,
-    "rankings": RankingRecord,
-    "calibration": CalibrationRecord,
-}
-
-
 @dataclass(frozen=True, kw_only=True)
 class Tables(TableSet):
     """The results of an evaluation."""
 
-    kinds: ClassVar = RECORDS
+    kinds: ClassVar = {
+        "pairs": PairRecord,
+        "runs": RunRecord,
+        "rankings": RankingRecord,
+        "calibration": CalibrationRecord,
+    }
     pairs: pd.DataFrame
     runs: pd.DataFrame
     rankings: pd.DataFrame

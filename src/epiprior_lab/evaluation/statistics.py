@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from epiprior.errors import SettingsError
 from epiprior.types import FloatArray
 
 _LEVEL = 0.95
@@ -48,22 +47,13 @@ def contribution(without: ArrayLike, with_step: ArrayLike) -> FloatArray:
     return np.asarray(np.divide(b - a, a, out=out, where=a > 0))
 
 
-def bootstrap_weights(n: int, *, draws: int, seed: int, groups: Sequence[str] | None = None) -> FloatArray:
+@functools.lru_cache(maxsize=4)  # tables hold several inputs against one under the same draw
+def bootstrap_weights(n: int, draws: int, seed: int, groups: tuple[str, ...] | None) -> FloatArray:
     """Return how often each of `n` pairs is drawn in each of `draws` samples, as shares, shape (draws, n).
 
     Each row sums to 1, so that ``weights @ values`` are the means of the samples. `groups` names the scene of each
-    pair: whole scenes are drawn, because pairs of one scene are alike; without it, pairs. SettingsError if `n` or
-    `draws` is below 1, or `groups` has another length.
+    pair: whole scenes are drawn, because pairs of one scene are alike; without it, pairs.
     """
-    if n < 1 or draws < 1:
-        raise SettingsError(f"bootstrap of {n} observations in {draws} draws: both must be at least 1")
-    if groups is not None and len(groups) != n:
-        raise SettingsError(f"bootstrap: {len(groups)} groups for {n} observations")
-    return _weights(n, draws, seed, None if groups is None else tuple(groups))
-
-
-@functools.lru_cache(maxsize=4)  # tables hold several inputs against one under the same draw
-def _weights(n: int, draws: int, seed: int, groups: tuple[str, ...] | None) -> FloatArray:
     _, group = np.unique(np.arange(n) if groups is None else np.asarray(groups, str), return_inverse=True)
     number = int(group.max()) + 1
     counts = np.random.default_rng(seed).multinomial(number, np.full(number, 1 / number), size=draws)[:, group]
@@ -81,7 +71,8 @@ def _interval(value: float, samples: FloatArray) -> Interval:
 def bootstrap_mean(values: ArrayLike, *, draws: int, seed: int, groups: Sequence[str] | None = None) -> Interval:
     """Return the mean of `values`, one finite value per pair, and its interval, drawn as in `bootstrap_weights`."""
     v = np.asarray(values, np.float64)
-    return _interval(v.mean(), bootstrap_weights(len(v), draws=draws, seed=seed, groups=groups) @ v)
+    weights = bootstrap_weights(len(v), draws, seed, None if groups is None else tuple(groups))
+    return _interval(v.mean(), weights @ v)
 
 
 def paired_bootstrap(
@@ -90,12 +81,10 @@ def paired_bootstrap(
     """Compare a measure of the same pairs without and with the preprocessing step, resampled together.
 
     Both hold one finite value per pair, shape (N,), N >= 1; for successes, the share of seeds that succeeded. `draws`,
-    `seed`, `groups` are as for `bootstrap_weights`. SettingsError if the two sides have different lengths.
+    `seed`, `groups` are as for `bootstrap_weights`.
     """
     a, b = np.asarray(without, np.float64), np.asarray(with_step, np.float64)
-    if a.shape != b.shape or a.ndim != 1:
-        raise SettingsError(f"paired bootstrap of shapes {a.shape} and {b.shape}: expected (N,) twice")
-    weights = bootstrap_weights(len(a), draws=draws, seed=seed, groups=groups)
+    weights = bootstrap_weights(len(a), draws, seed, None if groups is None else tuple(groups))
     means_a, means_b = weights @ a, weights @ b
     return Comparison(
         without=_interval(a.mean(), means_a),

@@ -40,7 +40,7 @@ def time_pair(
         start = time.perf_counter()
         detected = detect_pair(pair, inputs.detection_of(name))
         middle = time.perf_counter()
-        matches = inputs.match_pair(pair, (name,), detected=detected)
+        matches = inputs.match_detected(detected, (name,))
         before = {"seconds_features": middle - start, "seconds_matching": time.perf_counter() - middle}
         for record, estimate in _time_estimators(pair, protocol, matches, group=group, seeds=seeds, before=before):
             found[record.estimator, record.seed, name] = record, estimate

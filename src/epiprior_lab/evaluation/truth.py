@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from epiprior.errors import SettingsError
 from epiprior.types import FloatArray
 from epiprior_lab.evaluation.distances import points_on_lines
 from epiprior_lab.labels.ground_truth import LabelSettings, reference_fundamental
@@ -34,11 +33,6 @@ class TruthSettings(LabelSettings):
     one_plane: tuple[str, ...] | None = None
     easy_share: float = 0.5
     hard_share: float = 0.2
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.hard_share > self.easy_share:
-            raise SettingsError(f"hard_share = {self.hard_share}: above easy_share = {self.easy_share}")
 
     def difficulty(self, right_share: float) -> str:
         """Return how hard a pair is by the share of right matches in X_L; empty where it is NaN."""

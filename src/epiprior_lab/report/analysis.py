@@ -13,7 +13,7 @@ from epiprior_lab.report import analysis_figures as figures
 from epiprior_lab.report import analysis_tables as tables
 from epiprior_lab.report.page import Block, Page, Picture, Section, Table, picture, say
 from epiprior_lab.report.pictures import contact_sheet
-from epiprior_lab.report.results import ROUNDING
+from epiprior_lab.report.results import ROUNDING, where
 from epiprior_lab.report.text import Row, interval, listed, number, order_of, share, signed
 
 _PARTS = ("standard", "2keypoint", "sfm")  # parts of the method as printed
@@ -191,7 +191,7 @@ def _lost(table: pd.DataFrame) -> Table:
 
 def named_pairs(rankings: pd.DataFrame, group: str, quantiles: Sequence[float]) -> list[str]:
     """Return pairs at quantiles of the share of right matches in X_L, from hard to easy: by rule, not by outcome."""
-    lists = rankings[(rankings["group"] == group) & (rankings["input"] == "paper") & (rankings["ranking"] == "lowe")]
+    lists = where(rankings, group=group, input="paper", ranking="lowe")
     of_right = (lists["right"] / lists["matches"].clip(lower=1)).to_numpy()
     ordered = lists.assign(share=of_right).sort_values(["share", "pair_id"], kind="stable")["pair_id"].tolist()
     places = dict.fromkeys(round(q * (len(ordered) - 1)) for q in quantiles)
@@ -213,9 +213,7 @@ def table1_page(
 
 
 def _pair_block(evaluated: Tables, group: str, pair_id: str, success_px: float) -> Table:
-    rankings, runs = (
-        t[(t["group"] == group) & (t["pair_id"] == pair_id)] for t in (evaluated.rankings, evaluated.runs)
-    )
+    rankings, runs = (where(t, group=group, pair_id=pair_id) for t in (evaluated.rankings, evaluated.runs))
     of_list = rankings.set_index(["input", "ranking"])
     columns = {"matches": "matches", "right": "right matches"}
     columns |= {"right_10": "right of the first 10", "right_100": "right of the first 100"}

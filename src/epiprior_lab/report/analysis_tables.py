@@ -10,7 +10,7 @@ from epiprior.types import FloatArray
 from epiprior_lab.analysis.records import NO_ESTIMATOR, Analysis
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.statistics import bootstrap_mean, paired_bootstrap
-from epiprior_lab.report.results import interval_columns
+from epiprior_lab.report.results import interval_columns, where
 from epiprior_lab.report.text import order_of
 
 PRECISIONS = ("precision_10", "precision_100", "average_precision")
@@ -19,16 +19,15 @@ _KEY = ["experiment", "variant", "ranking", "estimator"]
 Key = tuple[str, ...]
 
 
-def errors_of(variants: pd.DataFrame, **where: str) -> pd.DataFrame:
+def errors_of(variants: pd.DataFrame, **values: str) -> pd.DataFrame:
     """Return the errors of the rows with these values: a row per pair, a column per seed, inf without an F."""
-    for column, value in where.items():
-        variants = variants[variants[column] == value]
-    return variants.set_index(["pair_id", "seed"])["error_px"].fillna(np.inf).unstack("seed").sort_index()
+    errors = where(variants, **values).set_index(["pair_id", "seed"])["error_px"]
+    return errors.fillna(np.inf).unstack("seed").sort_index()
 
 
-def rate_of(variants: pd.DataFrame, threshold: float, **where: str) -> FloatArray:
+def rate_of(variants: pd.DataFrame, threshold: float, **values: str) -> FloatArray:
     """Return the share of successful seeds of each pair, by pair id, among the rows with these values."""
-    return np.asarray((errors_of(variants, **where) < threshold).mean(axis=1), np.float64)
+    return np.asarray((errors_of(variants, **values) < threshold).mean(axis=1), np.float64)
 
 
 def reference_of(key: Key, main: str) -> Key:

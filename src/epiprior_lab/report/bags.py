@@ -13,11 +13,11 @@ from epiprior_lab.bags.measure import INTRINSICS, SECONDS
 from epiprior_lab.bags.params import BagReportParams
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.learned import LEARNED
+from epiprior_lab.evaluation.records import write_frame
 from epiprior_lab.evaluation.statistics import paired_bootstrap
 from epiprior_lab.report.page import Page, Section, Table, picture, say
-from epiprior_lab.report.results import interval_columns
+from epiprior_lab.report.results import interval_columns, where
 from epiprior_lab.report.style import DOTS, label_grid, legend, styled
-from epiprior_lab.report.tables import write_table
 from epiprior_lab.report.text import ALL, DIFFICULTIES, INPUTS, best_bold, interval, number, order_of, share
 
 TITLE = "Structure from motion on bags of photographs"
@@ -42,9 +42,9 @@ def write_bag_report(records: _Frame, methods: Sequence[str], params: BagReportP
     summary, intruders = summary_table(records, params), intruder_table(records)
     tables = {"bags": records.drop(columns=list(SECONDS)), "summary": summary, "intruders": intruders}
     for name, table in tables.items():
-        write_table(table, out / "tables" / f"{name}.csv")
+        write_frame(table, out / "tables" / f"{name}.csv", digits=6)
     bag_figure(summary, out / "figures" / "bags.png")
-    write_table(records[["bag", "method", "intrinsics", *SECONDS]], out / "timings" / "seconds.csv")
+    write_frame(records[["bag", "method", "intrinsics", *SECONDS]], out / "timings" / "seconds.csv", digits=6)
     times = Section(title="Processor time", blocks=[say("sfm times"), _times(records, params)])
     page = Page(title=f"{TITLE}: time", about=say("sfm time"), sections=[times])
     page.write(out / "timings", markdown="times.md", html="")
@@ -80,16 +80,14 @@ def summary_table(records: _Frame, params: BagReportParams) -> _Frame:
                     continue
                 row: dict[str, Any] = {"selection": name, "intrinsics": kind, "method": method, "bags": len(bags)}
                 scenes = list(base["group"] + "/" + base["scene"])
-                row |= {"scenes": len(set(scenes))}
+                row["scenes"] = len(set(scenes))
                 row |= {key: int(own[key].sum()) for key in ("images", "registered", "wrong")}
                 for key in _MEASURES:
                     a, b = (one.loc[bags, key].to_numpy(np.float64) for one in (base, own))
                     seed = child_seed(params.seed, name, kind)
                     found = paired_bootstrap(a, b, groups=scenes, draws=params.bootstrap_draws, seed=seed)
-                    row |= interval_columns(key, found.with_step)
-                    row |= interval_columns(f"{key}_gain", found.contribution)
-                if row["scenes"] < 2:
-                    row |= dict.fromkeys((column for column in row if column.endswith(("_low", "_high"))), np.nan)
+                    row |= interval_columns(key, found.with_step, scenes=row["scenes"])
+                    row |= interval_columns(f"{key}_gain", found.contribution, scenes=row["scenes"])
                 tracks = own["tracks"].sum()
                 row["tracks"] = tracks / len(bags)
                 row["track_length"] = (own["tracks"] * own["track_length"]).sum() / tracks if tracks else np.nan
@@ -156,8 +154,7 @@ def bag_figure(summary: _Frame, path: Path) -> None:
         for axis_row, kind in zip(axes, INTRINSICS, strict=True):
             for axis, measure in zip(axis_row, _MEASURES, strict=True):
                 for k, (name, look) in enumerate(looks.items()):
-                    mine = summary[(summary["method"] == name) & (summary["intrinsics"] == kind)]
-                    own = mine.set_index("selection").reindex(shown)
+                    own = where(summary, method=name, intrinsics=kind).set_index("selection").reindex(shown)
                     spans = [own[measure] - own[f"{measure}_low"], own[f"{measure}_high"] - own[measure]]
                     height = y + 0.13 * ((len(looks) - 1) / 2 - k)
                     style: Any = {"color": look.colour, "ms": 5, "lw": 1.0, **DOTS}

@@ -10,7 +10,8 @@ import pandas as pd
 import yaml
 
 from epiprior_lab.evaluation.records import CASCADE
-from epiprior_lab.report.results import ROUNDING, ReportError, Results
+from epiprior_lab.report.page import say
+from epiprior_lab.report.results import ROUNDING, ReportError, Results, where
 from epiprior_lab.report.text import ALL, OURS, Row, baseline_of, group_title, input_title, interval, percent, signed
 
 EVERY = "every"
@@ -69,18 +70,11 @@ def judge(bounds: Sequence[Bound], tables: Tables, results: Results | None = Non
     return pd.DataFrame(rows, columns=COLUMNS.split())
 
 
-def _rows(table: pd.DataFrame, bound: Bound, *columns: str) -> pd.DataFrame:
-    """Return the rows whose values in certain columns are those of the bound."""
-    for column in columns:
-        table = table[table[column] == getattr(bound, column)]
-    return table
-
-
 def _contribution(bound: Bound, results: Any, tables: Tables) -> dict[str, Any]:
     if bound.against == "best_peer":
         return _best_peer(bound, results)
-    at = _rows(tables["successes"], bound, "group", "threshold_px")
-    ours = _rows(at, bound, "input", *([] if bound.estimator == EVERY else ["estimator"]))
+    at = where(tables["successes"], group=bound.group, threshold_px=bound.threshold_px)
+    ours = where(at, input=bound.input, **({} if bound.estimator == EVERY else {"estimator": bound.estimator}))
     if ours.empty:
         raise ReportError(f"no results of {bound.estimator} on {bound.group} below {bound.threshold_px:g} px")
     worst = ours.sort_values("gain", kind="stable").iloc[0]
@@ -111,7 +105,7 @@ def _best_peer(bound: Bound, results: Results) -> dict[str, Any]:
 
 
 def _difference(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
-    at = _rows(tables["duels"], bound, "group", "input", "threshold_px")
+    at = where(tables["duels"], group=bound.group, input=bound.input, threshold_px=bound.threshold_px)
     if at.empty:
         raise ReportError(f"no duels on {bound.group}, {bound.input}, below {bound.threshold_px:g} px")
     rival = at.sort_values(["difference_low", "difference"], kind="stable").iloc[0]
@@ -121,8 +115,7 @@ def _difference(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
 
 
 def _precision_gain(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
-    at = _rows(tables["rankings"], bound, "group", "input")
-    at = at[at["ranking"] == "final"]
+    at = where(tables["rankings"], group=bound.group, input=bound.input, ranking="final")
     if at.empty:
         return {}
     row = at.iloc[0]
@@ -131,9 +124,8 @@ def _precision_gain(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
 
 
 def _time(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
-    at = _rows(tables["overhead"], bound, "group")
     who = ALL if bound.estimator == EVERY else bound.estimator
-    at = at[(at["input"] == _OF_TIME[bound.measure]) & (at["estimator"] == who)]
+    at = where(tables["overhead"], group=bound.group, input=_OF_TIME[bound.measure], estimator=who)
     return {} if at.empty else _reached(bound, float(at["median_overhead"].iloc[0]))
 
 
@@ -141,15 +133,14 @@ def _confidence(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
     """Return what the confidence of all estimators reached; nothing without pairs of other kinds."""
     if "confidence" not in tables:
         return {}
-    table = tables["confidence"]
-    row = table[(table["estimator"] == ALL) & (table["score"] == "confidence")].iloc[0]
-    return _reached(bound, float(row[_OF_CONFIDENCE[bound.measure][0]]))
+    row = where(tables["confidence"], estimator=ALL, score="confidence").iloc[0]
+    return _reached(bound, float(row[_OF_CONFIDENCE[bound.measure]]))
 
 
 def _cascade_lost(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
     if CASCADE not in tables:
         return {}
-    at = _rows(tables[CASCADE], bound, "group", "threshold_px")
+    at = where(tables[CASCADE], group=bound.group, threshold_px=bound.threshold_px)
     worst = at.assign(share=at["lost"] / at["pairs"]).sort_values("share", ascending=False, kind="stable").iloc[0]
     return {"estimator": worst["estimator"], **_reached(bound, float(worst["share"]))}
 
@@ -159,19 +150,10 @@ def _reached(bound: Bound, found: float) -> dict[str, Any]:
     return {"found": found, "met": met}
 
 
-_OF_CONFIDENCE: Mapping[str, tuple[str, str]] = {  # column of its table, and sentence
-    "right_kept": ("kept", "at least {wanted:g} of right F kept where 1 % of the unrelated pairs are accepted"),
-    "auc": ("auc", "area under the ROC of the confidence at least {wanted:g}: right F against wrong and unrelated"),
-    "calibration": ("calibration_error", "calibration error of the confidence at most {wanted:g}"),
-    "flat_told": ("flat_told", "at least {wanted:g} of planes and rotations told as such"),
-    "false_flat": ("false_flat", "at most {wanted:g} of right F told as planes, rotations or copies"),
-    "copies_told": ("copies_told", "at least {wanted:g} of copies told as such"),
-}
-_SENTENCES: Mapping[str, str] = {
-    **{measure: sentence for measure, (_, sentence) in _OF_CONFIDENCE.items()},
-    "cascade_lost": "the cascade loses at most {wanted:g} of the pairs to always preprocessing: {where}",
-    "time": "median time with preprocessing at most {wanted:g} times that without",
-    "cascade_time": "median time of the cascade at most {wanted:g} times that without",
+_OF_CONFIDENCE: Mapping[str, str] = {  # columns of its table
+    "right_kept": "kept",
+    "calibration": "calibration_error",
+    **{name: name for name in ("auc", "flat_told", "false_flat", "copies_told")},
 }
 _OF_TIME: Mapping[str, str] = {"time": OURS, "cascade_time": CASCADE}
 _MEASURES: Mapping[str, Callable[[Bound, Any, Tables], dict[str, Any]]] = {
@@ -190,26 +172,17 @@ def bound_rows(judged: pd.DataFrame) -> list[list[str]]:
 
 
 def _wanted(row: Row) -> str:
-    where = f"{group_title(row['group'])}, {row['threshold_px']:g} px"
-    if row["measure"] in _SENTENCES:
-        return _SENTENCES[row["measure"]].format(wanted=row["wanted"], where=where)
-    who = row["estimator"] if np.isnan(row["kept"]) else "every estimator"
-    match row["measure"]:
-        case "difference":
-            return f"{row['estimator']} beats every other estimator on {input_title(row['input'])}: {where}"
-        case "precision_gain":
-            return f"precision of the top 100 at least {row['wanted']:+.2f} over X_L: {group_title(row['group'])}"
-    if row["wanted"] < 0:
-        return f"no estimator loses more than {-100 * row['wanted']:g} %: {where}"
-    over = "X_L" if row["against"] == "baseline" else "the best peer"
-    return f"{who} gains at least {percent(row['wanted'])} over {over}: {where}"
+    loss, group = row["measure"] == "contribution" and row["wanted"] < 0, group_title(row["group"])
+    values = {"gain": percent(row["wanted"]), "loss": -100 * row["wanted"], "input": input_title(row["input"])}
+    values |= {"group": group, "where": f"{group}, {row['threshold_px']:g} px"}
+    values["who"] = row["estimator"] if np.isnan(row["kept"]) else "every estimator"
+    values["over"] = "X_L" if row["against"] == "baseline" else "the best peer"
+    return say("bound loss" if loss else f"bound {row['measure']}", **{**row, **values})
 
 
 def _found(row: Row) -> str:
     if np.isnan(row["found"]):
         return "no such pair"
-    if row["measure"] in _SENTENCES:
-        return f"{row['found']:.{2 if row['measure'] in _OF_TIME else 3}f}"
     values = {"found": row["found"], "found_low": row["low"], "found_high": row["high"]}
     kept = f"{row['kept']:.0f} of {row['of']:.0f}"
     match row["measure"]:
@@ -219,9 +192,12 @@ def _found(row: Row) -> str:
         case "precision_gain":
             text = interval(values, "found", lambda value: f"{value:+.3f}")
             return f"{text}; {row['possible']:+.3f} if all were right"
-    # A loss of 1 % at most is missed by 1.3 %: whole numbers would not show it.
-    text = interval(values, "found", percent if row["wanted"] >= 0 else lambda value: percent(value, 1))
-    if not np.isnan(row["kept"]):
-        return f"{kept} keep to it; lowest is {row['estimator']}: {text}"
-    text += "" if row["against"] == "baseline" else f" over {row['against']}"
-    return text + ("" if np.isinf(row["possible"]) else f"; {percent(row['possible'])} if it solved every pair")
+        case "contribution":
+            # A loss of 1 % at most is missed by 1.3 %: whole numbers would not show it.
+            text = interval(values, "found", percent if row["wanted"] >= 0 else lambda value: percent(value, 1))
+            if not np.isnan(row["kept"]):
+                return f"{kept} keep to it; lowest is {row['estimator']}: {text}"
+            text += "" if row["against"] == "baseline" else f" over {row['against']}"
+            return text + ("" if np.isinf(row["possible"]) else f"; {percent(row['possible'])} if it solved every pair")
+        case measure:
+            return f"{row['found']:.{2 if measure in _OF_TIME else 3}f}"

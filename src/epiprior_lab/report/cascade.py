@@ -10,7 +10,7 @@ import pandas as pd
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
 from epiprior_lab.report.page import Page, Section, Table, picture, say
-from epiprior_lab.report.results import Results
+from epiprior_lab.report.results import PAIR, Results
 from epiprior_lab.report.style import MUTED, axis_legend, label_grid, styled
 from epiprior_lab.report.text import Look, order_of, share
 from epiprior_lab.selection import cascade_rule
@@ -33,8 +33,6 @@ def cascade_table(
     """
     runs = cascade_rule.paired_runs(results.tables.runs)
     (kept,) = kept_runs(runs, [rule])
-    keys = ["group", "pair_id"]
-    index = pd.MultiIndex.from_frame(results.tables.pairs[keys])
     rows = []
     for estimator in (name for name in order_of(runs["estimator"]) if name in estimators):
         own = (runs["estimator"] == estimator).to_numpy()
@@ -45,10 +43,11 @@ def cascade_table(
             "cascade": cascade_rule.cascade_errors(part, kept_part),
         }
         for threshold in thresholds_px:
-            marks = part[keys].assign(**{name: np.asarray(values) < threshold for name, values in errors.items()})
+            marks = part[PAIR].assign(**{name: np.asarray(values) < threshold for name, values in errors.items()})
             marks["lost"] = marks["always"] & ~marks["cascade"]
             marks["won"] = marks["cascade"] & ~marks["always"]
-            shares = marks.assign(preprocessed=~kept_part).groupby(keys).mean().reindex(index).fillna(0.0)
+            means = marks.assign(preprocessed=~kept_part).groupby(PAIR, as_index=False).mean()
+            shares = results.by_pair(means).fillna(0.0)
             always, cascade = (shares[name].to_numpy(np.float64) for name in ("always", "cascade"))
             for group, member in results.groups(results.main):
                 pairs = int(member.sum())

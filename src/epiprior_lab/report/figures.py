@@ -9,13 +9,13 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 from scipy import stats
 
 from epiprior.types import FloatArray
 from epiprior_lab.evaluation.records import RANKS, right_column
 from epiprior_lab.report import style, text
-from epiprior_lab.report.results import Results
+from epiprior_lab.report.results import Results, where
 from epiprior_lab.report.style import DOTS, GRID, INK, MUTED, SERIES, label_grid, legend, looks_of, styled
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, calibration_sums
 from epiprior_lab.report.text import ALL, METRIC_TITLES, Look, group_title, input_title, order_of, setting
@@ -54,7 +54,7 @@ def success_figure(successes: pd.DataFrame, groups: Sequence[str], thresholds_px
     with styled(path, len(thresholds_px), len(groups), size, sharey=True) as (figure, axes):
         for row, threshold in zip(axes, thresholds_px, strict=True):
             for axis, group in zip(row, groups, strict=True):
-                part = successes[(successes["group"] == group) & (successes["threshold_px"] == threshold)]
+                part = where(successes, group=group, threshold_px=threshold)
                 y, pairs = _names(axis, estimators), int(part["pairs"].max())
                 for k, (name, look) in enumerate(looks.items()):
                     own = part[part["input"] == name].set_index("estimator").reindex(estimators)
@@ -97,8 +97,8 @@ def duel_figure(duels: pd.DataFrame, champion: str, groups: Sequence[str], path:
     with styled(path, len(thresholds), len(places), size, sharey=True, sharex=True) as (figure, axes):
         for row, threshold in zip(axes, thresholds, strict=True):
             for axis, (group, name) in zip(row, places, strict=True):
-                here = (duels["group"] == group) & (duels["input"] == name) & (duels["threshold_px"] == threshold)
-                part, y = duels[here].set_index("estimator").reindex(rivals), _names(axis, rivals)
+                here, y = where(duels, group=group, input=name, threshold_px=threshold), _names(axis, rivals)
+                part = here.set_index("estimator").reindex(rivals)
                 axis.axvline(0, color=MUTED, lw=0.9, zorder=1)
                 for decided, colour in _DECIDED.items():
                     chosen = (part["decided"] == decided).to_numpy()
@@ -132,7 +132,7 @@ def ranking_figure(results: Results, path: Path) -> None:
         for row, (_, looks) in zip(axes, kinds, strict=True):
             for axis, (_, of_group) in zip(row, groups, strict=True):
                 for (name, ranking), look in looks.items():
-                    part = of_group[(of_group["input"] == name) & (of_group["ranking"] == ranking)]
+                    part = where(of_group, input=name, ranking=ranking)
                     if len(part):
                         curve = part[columns].to_numpy(np.float64).mean(axis=0) / np.array(RANKS)
                         axis.plot(RANKS, curve, color=look.colour, ls=look.line, label=look.label)
@@ -234,8 +234,7 @@ def classifier_figure(table: pd.DataFrame, path: Path) -> None:
     with styled(path, len(subjects), len(metrics), size, sharex=True) as (figure, axes):
         for row, (preset, target) in zip(axes, subjects, strict=True):
             for axis, metric in zip(row, metrics, strict=True):
-                chosen = (table["preset"] == preset) & (table["target"] == target) & (table["metric"] == metric)
-                values = table[chosen].set_index("family")
+                values = where(table, preset=preset, target=target, metric=metric).set_index("family")
                 y, both = np.arange(len(values))[::-1], values["ungrouped"].notna().to_numpy()
                 for name, offset, colour, label in kinds:
                     at = y + np.where(both, offset, 0.0)
@@ -283,8 +282,7 @@ def _sweep(axis: Axes, part: pd.DataFrame, name: str) -> None:
         if len(varied):
             before = of_input.loc[: varied.index[0]].iloc[:-1]
             trials = pd.concat([varied, before.sort_values(["score", "area"], kind="stable").tail(1)])
-            chosen = of_input[of_input["chosen"].astype(str).str.lower() == "true"]
-            lines.append((look, trials, {setting(value) for value in chosen[name]}))
+            lines.append((look, trials, {setting(value) for value in of_input.loc[of_input["chosen"], name]}))
     if not lines:
         axis.set_axis_off()
         return
@@ -343,8 +341,7 @@ def seconds_figure(table: pd.DataFrame, path: Path) -> None:
         for axis, outcome in zip(axes[0], ("success", "failure"), strict=True):
             y = _names(axis, estimators)
             for k, (name, look) in enumerate(looks.items()):
-                chosen = (table["input"] == name) & (table["outcome"] == outcome)
-                part = table[chosen].set_index("estimator").reindex(estimators)
+                part = where(table, input=name, outcome=outcome).set_index("estimator").reindex(estimators)
                 mean, height = 1000 * part["mean"], y + 0.17 * ((len(looks) - 1) / 2 - k)
                 few = (part["runs"] < FEW_RUNS).to_numpy()
                 axis.plot(mean[~few], height[~few], look.marker, color=look.colour, ms=6, mec="white", mew=0.6)
@@ -355,9 +352,7 @@ def seconds_figure(table: pd.DataFrame, path: Path) -> None:
                         axis.annotate(f"{runs:.0f}", (at, level), (5, 0), color=look.colour, **how)
             label = "milliseconds per run, matching left out"
             axis.set(title=f"runs that end in {outcome}", xlabel=label, xscale="log")
-            axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            axis.xaxis.set_major_formatter("{x:g}")
-            axis.xaxis.set_minor_formatter(NullFormatter())
+            style.label_logarithmic(axis)
         label = f"fewer than {FEW_RUNS} runs"
         few_runs = Line2D([], [], ls="", marker="o", color=MUTED, mfc="white", mew=1.1, label=label)
         dots = [Look(look.label, look.colour, "", look.marker) for look in looks.values()]

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from epiprior.verification.cascade import CascadeRule
+from epiprior_lab.evaluation.records import CASCADE
 from epiprior_lab.pairsets import KnownSet
 from epiprior_lab.params import ReportParams
 from epiprior_lab.report import text
@@ -18,7 +19,6 @@ from epiprior_lab.report.page import Block, Picture, Table, picture
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.text import ALL, OURS, group_title, input_title, number, order_of
 
-CASCADE = "cascade"
 Maker = Callable[["Material"], Iterator[Block | tuple[()]]]
 
 

@@ -126,15 +126,12 @@ def render_markdown(page: Page) -> str:
     return "\n".join(lines) + "\n"
 
 
-_WRAPPER = textwrap.TextWrapper(110, break_long_words=False, break_on_hyphens=False)
-_ITEM = textwrap.TextWrapper(110, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
-
-
 def _prose(text: str) -> list[str]:
     """Return paragraphs and lists with lines of at most 110 characters."""
+    how: Any = {"break_long_words": False, "break_on_hyphens": False}
     lines: list[str] = []
     for line in text.splitlines():
-        lines += (_ITEM if line.startswith("- ") else _WRAPPER).wrap(line) or [""]
+        lines += textwrap.wrap(line, 110, subsequent_indent="  " if line.startswith("- ") else "", **how) or [""]
     return lines
 
 
@@ -146,8 +143,6 @@ def render_html(page: Page) -> str:
     environment.trim_blocks = environment.lstrip_blocks = environment.keep_trailing_newline = True
     environment.filters["inline"] = lambda text: Markup(reader.renderInline(text))
     environment.filters["prose"] = lambda text: Markup(reader.render(text))
-    for name, kind in {"prose": str, "table": Table, "picture": Picture}.items():
-        environment.tests[name] = lambda block, kind=kind: isinstance(block, kind)
     sections = [section for section in page.sections if section.shown]
     template = environment.get_template("page.html.j2")
     return template.render(page=page, sections=sections, version=epiprior.__version__)

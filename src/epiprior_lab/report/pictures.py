@@ -10,6 +10,7 @@ import numpy as np
 
 from epiprior.draw.captions import Picture, draw_label
 from epiprior.draw.pictures import DrawSettings, draw_matches
+from epiprior.features.images import read_image
 from epiprior.matching.baselines import standard_matches
 from epiprior.matching.roll import orientation_differences, roll_density
 from epiprior.rank import rank_matches
@@ -32,7 +33,7 @@ _ROLL = re.compile(r"roll=(-?\d+)deg")
 def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
     """Draw pairs by family in rows of a figure, with what makes them easy or hard below each, and return `path`.
 
-    A DatasetError says that there is no pair to show, or that an image cannot be read.
+    A DatasetError says that there is no pair to show, an ImageError that an image cannot be read.
     """
     columns = max((len(pairs) for pairs in pair_sets.values()), default=0)
     if not columns:
@@ -47,9 +48,8 @@ def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
             for k, cell in enumerate(cells):
                 cell.set_axis_off()
                 if k < len(pairs):
-                    gap = np.full((_THUMBNAIL[1], _GAP, 3), 255, dtype=np.uint8)
-                    small = [_thumbnail(pairs[k].image1), gap, _thumbnail(pairs[k].image2)]
-                    cell.imshow(np.hstack(small), interpolation="none")
+                    left, right = _padded(_thumbnail(pairs[k].image1), (0, 0, 0, _GAP)), _thumbnail(pairs[k].image2)
+                    cell.imshow(np.hstack([left, right]), interpolation="none")
                     cell.set_title(family if k == 0 else " ", fontsize=11, color=INK)
                     how: Any = {"ha": "center", "va": "top", "fontsize": 8, "color": MUTED}
                     cell.text(0.5, -0.03, _caption(pairs[k]), transform=cell.transAxes, **how)
@@ -62,16 +62,17 @@ def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
 
 def _thumbnail(path: Path) -> Image:
     """Return an image at the size of the sheet, RGB, padded with white to its shape."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise DatasetError(f"{path}: cannot be read as an image")
+    image = read_image(path, cv2.IMREAD_COLOR)
     width, height = _THUMBNAIL
     scale = min(width / image.shape[1], height / image.shape[0])
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)[:height, :width, ::-1]
-    padded = np.full((height, width, 3), 255, dtype=np.uint8)
-    top, left = (height - small.shape[0]) // 2, (width - small.shape[1]) // 2
-    padded[top : top + small.shape[0], left : left + small.shape[1]] = small
-    return padded
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)[:height, :width]
+    high, wide = height - small.shape[0], width - small.shape[1]
+    return _padded(cv2.cvtColor(small, cv2.COLOR_BGR2RGB), (high // 2, -(-high // 2), wide // 2, -(-wide // 2)))
+
+
+def _padded(picture: np.ndarray[Any, Any], margins: tuple[int, int, int, int]) -> Image:
+    """Return a picture with white on top, below, on the left and on the right, pixels."""
+    return np.asarray(cv2.copyMakeBorder(picture, *margins, cv2.BORDER_CONSTANT, value=(255, 255, 255)), np.uint8)
 
 
 def _caption(pair: Pair) -> str:
@@ -99,9 +100,9 @@ def example_picture(pair: Pair, path: Path) -> Path:
     after = estimate_fundamental(*images, estimator=EXAMPLE_ESTIMATOR, ranked=ranked)
     used = next((found for found in ranked.sets if found.roll_deg == after.roll_deg), ranked.sets[0])
     pictures = [_drawn(images, standard_matches(*images), before), _drawn(images, used, after)]
-    height, white = max(len(picture) for picture in pictures), (255, 255, 255)
-    padded = [cv2.copyMakeBorder(p, 0, height - len(p), 0, 0, cv2.BORDER_CONSTANT, value=white) for p in pictures]
-    picture = np.hstack([padded[0], np.full((height, 12, 3), 255, np.uint8), padded[1]])
+    height = max(len(picture) for picture in pictures)
+    left, right = (_padded(p, (0, height - len(p), 0, gap)) for p, gap in zip(pictures, (12, 0), strict=True))
+    picture = np.hstack([left, right])
     path.parent.mkdir(parents=True, exist_ok=True)
     _, encoded = cv2.imencode(".jpg", picture[:, :, ::-1].copy(), [cv2.IMWRITE_JPEG_QUALITY, 88])
     path.write_bytes(encoded.tobytes())

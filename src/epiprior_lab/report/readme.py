@@ -6,22 +6,21 @@ else is left alone, and so is the second where bags were not measured.
 
 import re
 from pathlib import Path
+from typing import Any
 
 from epiprior.errors import EpipriorError
 from epiprior_lab.bags.params import PATH as BAGS
 from epiprior_lab.bags.params import load_sfm_params
+from epiprior_lab.evaluation.records import read_table
 from epiprior_lab.params import PHOTOGRAPHS, load_params
 from epiprior_lab.report.bags import small_table
 from epiprior_lab.report.material import features_by_input, summary_table
 from epiprior_lab.report.page import Table, table_lines
-from epiprior_lab.report.results import read_table
 from epiprior_lab.report.text import ALL
 
 TABLES = Path("reports/real/tables")
 TIMES = Path("reports/real/timings/pairs.csv")
 BAG_TABLES = Path("reports/sfm/tables")
-_SUCCESSES = "threshold_px group estimator input pairs successes"
-_CASCADE = "threshold_px group estimator pairs cascade"
 
 
 class ReadmeError(EpipriorError):
@@ -31,17 +30,16 @@ class ReadmeError(EpipriorError):
 def render_readme(text: str, root: Path) -> str:
     """Return a text with the tables between the markers made anew, of the reports below `root`.
 
-    A ReadmeError says that there is not exactly one place for one, a ReportError that the report lacks something.
+    A ReadmeError says that there is not exactly one place for one, a TableError that the report lacks something.
     """
     report = load_params(root / PHOTOGRAPHS).report
-    successes = read_table(root / TABLES / "successes.csv", _SUCCESSES)
-    cascade = read_table(root / TABLES / "cascade.csv", _CASCADE)
+    columns = "threshold_px group estimator pairs"
+    successes = read_table(root / TABLES / "successes.csv", f"{columns} input successes")
+    cascade = read_table(root / TABLES / "cascade.csv", f"{columns} cascade")
     px = (report.success_px, report.strict_px)
     features = features_by_input(read_table(root / TABLES / "rankings.csv", "group"))
     timed = read_table(root / TIMES, "input estimator seconds_total")
-    means = timed.groupby(["input", "estimator"], as_index=False)["seconds_total"].mean()
-    timed_keys = zip(means["input"], means["estimator"], strict=True)
-    seconds = dict(zip(timed_keys, means["seconds_total"], strict=True))
+    seconds: dict[Any, float] = timed.groupby(["input", "estimator"])["seconds_total"].mean().to_dict()
     small = summary_table(successes, cascade, (ALL, *report.hard_groups), px, features, seconds)
     text = _filled(text, "results", small)
     if not (root / BAG_TABLES).is_dir():

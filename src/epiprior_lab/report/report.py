@@ -6,16 +6,16 @@ from typing import Any
 
 import pandas as pd
 
-from epiprior_lab.evaluation.records import Tables
+from epiprior_lab.evaluation.records import CASCADE, Tables, read_table, write_frame
 from epiprior_lab.params import ReportParams
 from epiprior_lab.report import figures, sections, tables
 from epiprior_lab.report.bounds import judge
 from epiprior_lab.report.cascade import cascade_table
 from epiprior_lab.report.confidence import confidence_figure, confidence_table, kind_table
 from epiprior_lab.report.gallery import write_gallery
-from epiprior_lab.report.material import CASCADE, Extras, Maker, Material
+from epiprior_lab.report.material import Extras, Maker, Material
 from epiprior_lab.report.page import Page, Section, say
-from epiprior_lab.report.results import Results, read_table
+from epiprior_lab.report.results import Results
 from epiprior_lab.report.text import ALL, DIFFICULTIES, OURS
 
 TITLES = {
@@ -95,59 +95,55 @@ def draw_figures(results: Results, made: Mapping[str, pd.DataFrame], params: Rep
     return paths
 
 
-def all_sections(material: Material) -> list[Section]:
-    """Return the sections in the order of the page: how well, how measured, what falls short, and bounds last.
-
-    A section that needs a table which is not there is left out.
-    """
-    # Title, what makes the section, and the table that it needs.
-    makers: list[tuple[str, Maker, str | None]] = [
-        ("How well it works", sections.summary, None),
-        ("A rescued pair", _plain("example", "example"), None),
-        ("Successes", sections.successes, None),
-        ("Against every other estimator", sections.duels, "duels"),
-        ("Poses and distances", sections.poses, None),
-        ("Rankings", sections.rankings, None),
-        ("Calibration", sections.calibration, None),
-        ("Cascade", sections.cascade, CASCADE),
-        ("Turned and shrunk photographs", sections.changed, "changed"),
-        ("Time", _plain("time", "decision", "overhead", "estimators"), None),
-        ("Pairs", sections.pairs, None),
-        ("How it was measured", sections.method, None),
-        ("Hand-over", sections.hand_over, "hand_over"),
-        ("Classifiers", sections.classifiers, "classifiers"),
-        ("Roll", _plain("roll", "roll"), None),
-        ("Analysis", _plain("analysis", "steps", "ablations", "limits"), None),
-        ("Confidence", sections.confidence, "confidence"),
-        ("Verification", sections.statuses, None),
-        ("What limits the results", sections.limits, "limits"),
-        ("Gallery", sections.gallery, None),
-        ("Bounds", sections.bounds, "bounds"),
-    ]
-    return [
-        Section(title=title, blocks=[block for block in make(material) if block])
-        for title, make, needed in makers
-        if needed is None or needed in material.tables
-    ]
-
-
 def _plain(name: str, *pictures: str) -> Maker:
     """Return what makes a section of prose and pictures alone."""
     return lambda m: iter([say(name), *(m.picture(one) for one in pictures)])
+
+
+# In the order of the page: how well, how measured, what falls short, and bounds last. Title, what makes the section,
+# and the table that it needs: without that it is left out.
+SECTIONS: Sequence[tuple[str, Maker, str | None]] = (
+    ("How well it works", sections.summary, None),
+    ("A rescued pair", _plain("example", "example"), None),
+    ("Successes", sections.successes, None),
+    ("Against every other estimator", sections.duels, "duels"),
+    ("Poses and distances", sections.poses, None),
+    ("Rankings", sections.rankings, None),
+    ("Calibration", sections.calibration, None),
+    ("Cascade", sections.cascade, CASCADE),
+    ("Turned and shrunk photographs", sections.changed, "changed"),
+    ("Time", _plain("time", "decision", "overhead", "estimators"), None),
+    ("Pairs", sections.pairs, None),
+    ("How it was measured", sections.method, None),
+    ("Hand-over", sections.hand_over, "hand_over"),
+    ("Classifiers", sections.classifiers, "classifiers"),
+    ("Roll", _plain("roll", "roll"), None),
+    ("Analysis", _plain("analysis", "steps", "ablations", "limits"), None),
+    ("Confidence", sections.confidence, "confidence"),
+    ("Verification", sections.statuses, None),
+    ("What limits the results", sections.limits, "limits"),
+    ("Gallery", sections.gallery, None),
+    ("Bounds", sections.bounds, "bounds"),
+)
 
 
 def write_report(results: Results, params: ReportParams, extras: Extras, kind: str, out: Path) -> _Tables:
     """Write ``index.html`` and ``performance.md``, ``tables/`` and ``figures/`` of a kind of `TITLES`."""
     made = make_tables(results, params, extras)
     for name, table in made.items():
-        tables.write_table(table, out / "tables" / f"{name}.csv")
+        write_frame(table, out / "tables" / f"{name}.csv", digits=6)
     drawn = {**draw_figures(results, made, params, out / "figures"), **extras.pictures}
     if extras.kinds is not None:
         drawn["confidence"] = out / "figures" / "confidence.png"
         confidence_figure(extras.kinds, params.success_px, drawn["confidence"])
     paths = {name: path.relative_to(out).as_posix() for name, path in drawn.items()}
     material = Material(results=results, params=params, tables=made, figures=paths, kind=kind, extras=extras)
-    Page(title=TITLES[kind], about=say(kind), sections=all_sections(material)).write(out)
+    shown = [
+        Section(title=title, blocks=[block for block in make(material) if block])
+        for title, make, needed in SECTIONS
+        if needed is None or needed in made
+    ]
+    Page(title=TITLES[kind], about=say(kind), sections=shown).write(out)
     if extras.gallery is not None:
         write_gallery(extras.cases, extras.gallery)
     return made

@@ -1,8 +1,8 @@
 """The four tables of an evaluation as the report reads them: which pairs form a group, and every measure by pair."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,16 +11,55 @@ import pandas as pd
 from epiprior.errors import EpipriorError
 from epiprior.types import BoolArray, FloatArray, Status
 from epiprior_lab.compute.seeds import child_seed
-from epiprior_lab.evaluation.compare import POSE, Rates, group_masks
 from epiprior_lab.evaluation.records import Tables
 from epiprior_lab.evaluation.statistics import Comparison, Interval, paired_bootstrap
 from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, order_of
 
+PAIR = ["group", "pair_id"]  # what names a pair in every table
 ROUNDING = 1e-9  # sums of shares are off by about 1e-15: what is nearer to zero than this is zero
 
 
 class ReportError(EpipriorError):
-    """A table of results cannot be read, lacks a column or lacks the rows that are asked for."""
+    """A table of results lacks the rows that are asked for, or bounds cannot be read."""
+
+
+def where(table: pd.DataFrame, **values: Any) -> pd.DataFrame:
+    """Return the rows of a table that have these values in columns of these names."""
+    for column, value in values.items():
+        table = table[table[column] == value]
+    return table
+
+
+class Rates:
+    """A measure of every run by estimator and input, as arrays in the order of ``tables.pairs``.
+
+    `measure` has a value per row of ``tables.runs``; a pair without a run is a failure.
+    """
+
+    def __init__(self, tables: Tables, measure: pd.Series[float]) -> None:
+        table = tables.runs[[*PAIR, "estimator", "input", "seed"]].assign(value=measure.fillna(np.inf).to_numpy())
+        index = pd.MultiIndex.from_frame(tables.pairs[PAIR])
+        self._values: dict[tuple[str, str], FloatArray] = {}
+        for (estimator, name), part in table.groupby(["estimator", "input"], sort=False):
+            wide = part.set_index([*PAIR, "seed"])["value"].unstack("seed").reindex(index)
+            self._values[str(estimator), str(name)] = wide.fillna(np.inf).to_numpy(np.float64)
+
+    @property
+    def estimators(self) -> list[str]:
+        """Estimators in the order of the runs."""
+        return list(dict.fromkeys(estimator for estimator, _ in self._values))
+
+    def inputs(self, estimator: str) -> list[str]:
+        """Return the inputs of one estimator, in the order of the runs."""
+        return [name for owner, name in self._values if owner == estimator]
+
+    def values(self, estimator: str, name: str) -> FloatArray:
+        """Return the measure, shape (pairs, seeds); infinite without an F or where the truth does not allow it."""
+        return self._values[estimator, name]
+
+    def of(self, estimator: str, name: str, threshold: float) -> FloatArray:
+        """Return the share of seeds strictly below the threshold for each pair, shape (pairs,)."""
+        return np.asarray((self.values(estimator, name) < threshold).mean(axis=1))
 
 
 class Results:
@@ -34,18 +73,23 @@ class Results:
     def __init__(
         self, tables: Tables, *, by: str, hard: Sequence[str], apart: Sequence[str] = (), draws: int, seed: int
     ) -> None:
-        self.tables, self.by, self.apart, self._draws, self._seed = tables, by, tuple(apart), draws, seed
-        masks = group_masks(tables.pairs, apart=apart)
-        self.sets = tuple(order_of(tables.pairs["group"]))
+        self.tables, self.apart, self._draws, self._seed = tables, tuple(apart), draws, seed
+        runs, pairs = tables.runs, tables.pairs
+        self.index = pd.MultiIndex.from_frame(pairs[PAIR])
+        self.sets = tuple(order_of(pairs["group"]))
+        counted = np.asarray(~pairs["group"].isin(apart))
+        masks = {name: counted & (pairs["difficulty"] == name).to_numpy() for name in DIFFICULTIES}
+        masks = {name: member for name, member in masks.items() if member.any()} | {ALL: counted}
+        masks |= {name: (pairs["group"] == name).to_numpy() for name in self.sets}
         first = self.sets if by == "group" else tuple(name for name in DIFFICULTIES if name in masks)
         self.main = (*first, ALL)
         self.masks: dict[str, BoolArray] = {name: masks[name] for name in dict.fromkeys((*self.main, *self.sets))}
         self.hard = tuple(name for name in hard if name in self.main)
-        self.errors, self.poses, self.distances = (Rates(tables, m) for m in ("error_px", POSE, "distance"))
-        runs = tables.runs
-        accepted = runs.assign(error_px=runs["error_px"].where(runs["status"] == Status.OK))
-        self.accepted = Rates(replace(tables, runs=accepted))
-        self.scenes = np.array(self.errors.scenes, dtype=object)
+        self.pose_deg = runs[["rotation_deg", "translation_deg"]].max(axis=1, skipna=False)  # the larger of both angles
+        self.errors, self.distances = Rates(tables, runs["error_px"]), Rates(tables, runs["distance"])
+        self.poses = Rates(tables, self.pose_deg)
+        self.accepted = Rates(tables, runs["error_px"].where(runs["status"] == Status.OK))
+        self.scenes = (pairs["group"] + "/" + pairs["scene"]).to_numpy(object)  # unique across groups
         self.estimators = self.errors.estimators
 
     @property
@@ -68,8 +112,11 @@ class Results:
 
     def rows_of(self, table: pd.DataFrame, member: BoolArray) -> pd.DataFrame:
         """Return the rows of a table, such as `Tables.rankings`, that are of certain pairs."""
-        chosen = pd.MultiIndex.from_frame(self.tables.pairs.loc[member, ["group", "pair_id"]])
-        return table[pd.MultiIndex.from_frame(table[["group", "pair_id"]]).isin(chosen)]
+        return table[pd.MultiIndex.from_frame(table[PAIR]).isin(self.index[member])]
+
+    def by_pair(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Return a table of one row for some of the pairs with a row for each, in their order; NaN for others."""
+        return table.set_index(PAIR).reindex(self.index)
 
     def groups(self, names: Sequence[str] = ()) -> Iterator[tuple[str, BoolArray]]:
         """Yield the groups of `names`, or all of them, that have pairs, each with its pairs."""
@@ -91,30 +138,19 @@ class Results:
         return np.asarray(pd.Series(values[member]).groupby(self.scenes[member], sort=True).mean(), np.float64)
 
     def interval(self, name: str, interval: Interval, member: BoolArray, factor: float = 1.0) -> dict[str, float]:
-        """Return `interval_columns`; one scene gives a value and no interval, since whole scenes are drawn."""
-        columns = interval_columns(name, interval, factor)
-        if len(set(self.scenes[member])) < 2:
-            columns |= {f"{name}_low": np.nan, f"{name}_high": np.nan}
-        return columns
+        """Return `interval_columns` of some pairs."""
+        return interval_columns(name, interval, factor, scenes=len(set(self.scenes[member])))
 
 
-def interval_columns(name: str, interval: Interval, factor: float = 1.0) -> dict[str, float]:
-    """Return the columns `name`, `name`_low and `name`_high of an interval, times `factor`; rounding noise is 0."""
-    ends = {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
+def interval_columns(name: str, interval: Interval, factor: float = 1.0, *, scenes: int = 2) -> dict[str, float]:
+    """Return the columns `name`, `name`_low and `name`_high of an interval, times `factor`; rounding noise is 0.
+
+    One of the `scenes` gives a value and no interval, since whole scenes are drawn.
+    """
+    low, high = (interval.low, interval.high) if scenes > 1 else (np.nan, np.nan)
+    ends = {name: interval.value, f"{name}_low": low, f"{name}_high": high}
     return {column: 0.0 if abs(value) < ROUNDING else value * factor for column, value in ends.items()}
 
 
 def _ordered(names: Any) -> list[str]:
     return sorted(names, key=lambda name: (name not in BASELINES, name == OURS))
-
-
-def read_table(path: Path, columns: str) -> pd.DataFrame:
-    """Read a CSV file that must have certain columns, separated by blanks; a ReportError names what is missing."""
-    try:
-        table = pd.read_csv(path, keep_default_na=True)
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise ReportError(f"{path}: cannot be read as a table: {error}") from error
-    missing = [name for name in columns.split() if name not in table.columns]
-    if missing:
-        raise ReportError(f"{path}: no column {missing[0]!r}")
-    return table

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from epiprior_lab.evaluation.learned import LEARNED
+from epiprior_lab.evaluation.records import CASCADE
 from epiprior_lab.pairsets.changed import EVERY
 from epiprior_lab.report import text
 from epiprior_lab.report.bounds import bound_rows
@@ -14,7 +15,7 @@ from epiprior_lab.report.cascade import rule_in_words
 from epiprior_lab.report.confidence import kind_rows, score_rows
 from epiprior_lab.report.figures import MIN_BAR
 from epiprior_lab.report.gallery import case_blocks
-from epiprior_lab.report.material import CASCADE, Material, features_by_input, summary_table
+from epiprior_lab.report.material import Material, features_by_input, summary_table
 from epiprior_lab.report.page import Block, Table, say
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, ENOUGH_RIGHT, PRECISIONS
 from epiprior_lab.report.text import ALL, OURS, group_title, input_title, interval, number, order_of, share, signed
@@ -277,7 +278,7 @@ def hand_over(m: Material) -> Iterator[Block]:
     rows = [
         [row["estimator"], input_title(row["input"]), *(text.setting(row[name]) for name in _SETTINGS if name in row)]
         + [f"{row['successes_10']:.1f} of {row['pairs']}"]
-        for row in table[table["chosen"].astype(str).str.lower() == "true"].to_dict("records")
+        for row in table[table["chosen"]].to_dict("records")
     ]
     head = ["estimator", "input", *(name.replace("_", " ") for name in _SETTINGS if name in table.columns)]
     yield Table(head=[*head, "validation pairs below 10 px"], rows=rows, texts=2)

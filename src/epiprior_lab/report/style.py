@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from epiprior.types import FloatArray
 from epiprior_lab.evaluation.statistics import success_curve
@@ -83,6 +84,13 @@ def label_grid(
         axis.set_title(name)
     for axis in axes[-1] if below else ():
         axis.set_xlabel(below)
+
+
+def label_logarithmic(axis: Axes) -> None:
+    """Label 1, 2 and 5 of each power of ten along the x axis."""
+    axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
 
 
 def draw_curves(

@@ -1,19 +1,18 @@
 """Tables of the report, one row per group of pairs and whatever is compared; each becomes a CSV file of its name."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from epiprior.estimators import find_estimator
-from epiprior.types import BoolArray, Status
+from epiprior.types import Status
 from epiprior_lab.evaluation.records import right_column
 from epiprior_lab.evaluation.statistics import Interval, success_curve
 from epiprior_lab.measures import CalibrationBins
 from epiprior_lab.pairsets.changed import CHANGES
-from epiprior_lab.report.results import ROUNDING, ReportError, Results
+from epiprior_lab.report.results import PAIR, ROUNDING, ReportError, Results
 from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, baseline_of, order_of
 
 SNN = "snn"
@@ -127,7 +126,11 @@ def geometry_table(results: Results, pose_deg: Sequence[float], recall_at: float
     ``wrong_poses``, those of them that are off by more than the highest limit; ``true_F``, pairs with a true F,
     ``distance_recall`` and ``median_distance`` over these. A run without F is a failure; NaN without such pairs.
     """
-    with_pose, with_F = (_ever(results, column) for column in ("translation_deg", "distance"))
+    runs = results.tables.runs
+    with_pose, with_F = (
+        results.index.isin(pd.MultiIndex.from_frame(runs.loc[runs[column].notna(), PAIR]))
+        for column in ("translation_deg", "distance")
+    )  # pairs for which any run has a value: those whose truth allows the measure
     rows = []
     for group, member in results.groups():
         posed, true = member & with_pose, member & with_F
@@ -150,13 +153,6 @@ def geometry_table(results: Results, pose_deg: Sequence[float], recall_at: float
     return pd.DataFrame(rows)
 
 
-def _ever(results: Results, column: str) -> BoolArray:
-    """Return the pairs for which any run has a value: those whose truth allows the measure."""
-    pairs, runs = results.tables.pairs, results.tables.runs
-    found = pd.MultiIndex.from_frame(runs.loc[runs[column].notna(), ["group", "pair_id"]].drop_duplicates())
-    return np.asarray(pd.MultiIndex.from_frame(pairs[["group", "pair_id"]]).isin(found))
-
-
 def ranking_table(results: Results) -> pd.DataFrame:
     """Return means over labelled pairs by group, input and ranking.
 
@@ -164,13 +160,11 @@ def ranking_table(results: Results) -> pd.DataFrame:
     ``scene_<name>`` of each, averaged over scenes; ``enough``, the share of pairs with `ENOUGH_RIGHT` right matches or
     more; ``gain``, the precision at 100 over X_L in the order of the distance ratio, with its 95 % interval.
     """
-    columns = ["group", "pair_id"]
-    index = pd.MultiIndex.from_frame(results.tables.pairs[columns])
     ranked = results.tables.rankings
     ranked = ranked.assign(**{f"precision_{depth}": ranked[right_column(depth)] / depth for depth in DEPTHS})
     ranked = ranked.assign(features=ranked[["features1", "features2"]].mean(axis=1))
     parts: dict[tuple[str, str], pd.DataFrame] = {
-        (str(name), str(ranking)): part.set_index(columns).reindex(index)
+        (str(name), str(ranking)): results.by_pair(part)
         for (name, ranking), part in ranked.groupby(["input", "ranking"], sort=False)
     }
     keys = sorted(parts, key=lambda key: (key[0] not in BASELINES, key[0] == OURS))
@@ -274,9 +268,8 @@ def limits_table(results: Results, champion: str, success_px: float) -> pd.DataF
     }
     failing = hard & ~solved[champion, OURS]
     ranked = results.tables.rankings
-    ours = ranked[(ranked["input"] == OURS) & (ranked["ranking"] == "final")].set_index(["group", "pair_id"])
-    index = pd.MultiIndex.from_frame(results.tables.pairs[["group", "pair_id"]])
-    precision = (ours[right_column(100)] / 100).reindex(index).to_numpy(np.float64)
+    ours = results.by_pair(ranked[(ranked["input"] == OURS) & (ranked["ranking"] == "final")])
+    precision = (ours[right_column(100)] / 100).to_numpy(np.float64)
     rows = []
     for group, member in results.groups((ALL, *results.sets)):
         part = hard & member
@@ -323,15 +316,14 @@ def pair_table(results: Results) -> pd.DataFrame:
     """
     keys = ["group", "pair_id", "scene", "estimator", "input"]
     runs = results.tables.runs
-    pose = runs[["rotation_deg", "translation_deg"]].max(axis=1, skipna=False)
-    table = runs.assign(pose_deg=pose, found=runs["error_px"].notna())
+    table = runs.assign(pose_deg=results.pose_deg, found=runs["error_px"].notna())
     grouped = table.groupby(keys, sort=False)
     means = grouped.agg(found=("found", "sum"), distance=("distance", "mean"), pose_deg=("pose_deg", "mean"))
     errors = table.set_index([*keys, "seed"])["error_px"].unstack("seed")
     errors.columns = pd.Index([f"error_px_{seed}" for seed in errors.columns])
     wide = means[["found"]].join(errors).join(means[["distance", "pose_deg"]]).reset_index()
     about = ["difficulty", "labels", "right_share"]
-    wide = wide.merge(results.tables.pairs[["group", "pair_id", *about]], on=["group", "pair_id"], how="left")
+    wide = wide.merge(results.tables.pairs[[*PAIR, *about]], on=PAIR, how="left")
     front = [*keys[:3], *about, *keys[3:]]
     return wide[[*front, *(name for name in wide.columns if name not in front)]]
 
@@ -358,8 +350,7 @@ def classifier_table(metrics: pd.DataFrame) -> pd.DataFrame:
     Columns: ``preset, target, family, metric``, then over all rows ``grouped``, ``ungrouped`` and ``calibrated``
     (grouped, after calibration), and deviations over folds ``grouped_sd`` and ``ungrouped_sd``; NaN where unknown.
     """
-    flags = metrics["grouped"].astype(str).str.lower().isin(["true", "1"])
-    table = metrics.assign(fold=metrics["fold"].astype(str), grouped=flags)
+    table = metrics.assign(fold=metrics["fold"].astype(str))
     keys = ["preset", "target", "family", "metric"]
     rows = []
     for key, part in table.groupby(keys, sort=False):
@@ -373,9 +364,3 @@ def classifier_table(metrics: pd.DataFrame) -> pd.DataFrame:
                 row["calibrated"] = float(values.get("calibrated", np.nan))
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def write_table(table: pd.DataFrame, path: Path) -> None:
-    """Write a table as CSV with six significant digits."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    table.to_csv(path, index=False, float_format="%.6g", lineterminator="\n")

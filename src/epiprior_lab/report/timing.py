@@ -6,19 +6,17 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from epiprior.verification.cascade import CascadeRule
-from epiprior_lab.evaluation.records import CASCADE
+from epiprior_lab.evaluation.records import CASCADE, write_frame
 from epiprior_lab.evaluation.statistics import contribution
 from epiprior_lab.params import ReportParams
 from epiprior_lab.report import figures
 from epiprior_lab.report.bounds import Bound, bound_rows, judge
 from epiprior_lab.report.cascade import cascade_table
 from epiprior_lab.report.page import Page, Section, Table, picture
-from epiprior_lab.report.results import Results
-from epiprior_lab.report.style import label_grid, legend, looks_of, styled
-from epiprior_lab.report.tables import write_table
+from epiprior_lab.report.results import Results, where
+from epiprior_lab.report.style import label_grid, label_logarithmic, legend, looks_of, styled
 from epiprior_lab.report.text import ALL, BASELINES, baseline_of, input_title, number, order_of, share
 
 BEST, USUAL = "best", "usual"
@@ -51,13 +49,12 @@ def overhead_table(timings: pd.DataFrame, results: Results, threshold_px: float)
     for name in (name for name in order_of(timings["input"]) if name in ("paper", "fast", "default", CASCADE)):
         for group in (*order_of(timings["group"]), ALL):
             for estimator in (*order_of(timings["estimator"]), ALL):
-                chosen = table["input"] == name
-                chosen &= (group == ALL) | (table["group"] == group)
-                part = table[chosen & ((estimator == ALL) | (table["estimator"] == estimator))]
+                asked = {"input": name, "group": group, "estimator": estimator}
+                part = where(table, **{column: value for column, value in asked.items() if value != ALL})
                 if part.empty:
                     continue
                 without, own = part["seconds_total_without"], part["seconds_total"]
-                row: dict[str, Any] = {"input": name, "group": group, "estimator": estimator, "runs": len(part)}
+                row: dict[str, Any] = {**asked, "runs": len(part)}
                 row |= {"seconds_without": without.mean(), "seconds_with": own.mean()}
                 row |= {"overhead": own.mean() / without.mean(), "median_overhead": (own / without).median()}
                 row |= {"preprocessed": part["preprocessed"].mean(), "contribution": np.nan}
@@ -116,9 +113,7 @@ def decision_figure(table: pd.DataFrame, path: Path) -> None:
                     face = look.colour if point["choice"] == BEST else "none"
                     axis.plot(point[seconds], point[counted], look.marker, color=look.colour, mfc=face, ms=8, mew=1.4)
                 axis.set_xscale("log")
-                axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-                axis.xaxis.set_major_formatter("{x:g}")
-                axis.xaxis.set_minor_formatter(NullFormatter())
+                label_logarithmic(axis)
                 axis.set_ylim(0, 1.05 * max(float(np.max(table[thresholds].to_numpy())), 1.0))
             px = counted.removeprefix("successes_")
             row[0].set_ylabel(f"pairs of {int(table['pairs'].iloc[0])} below {px} px")
@@ -148,7 +143,7 @@ def write_timings(
     tables = {"overhead": overhead, "estimators": seconds, "decision": decision, "bounds": judged}
     for name, table in tables.items():
         if len(table):
-            write_table(table, out / f"{name}.csv")
+            write_frame(table, out / f"{name}.csv", digits=6)
     single = (overhead["group"] != ALL) & (overhead["estimator"] != ALL) & (overhead["input"] != CASCADE)
     figures.overhead_figure(overhead[single], out / "overhead.png")
     figures.seconds_figure(seconds, out / "estimators.png")

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from epiprior.estimators.handover import load_hand_overs
-from epiprior_lab.analysis.analyse import analyse_pairs
-from epiprior_lab.analysis.bench import AnalysisSettings
+from epiprior_lab.analysis.analyse import AnalysisSettings, analyse_pairs
 from epiprior_lab.compute.tasks import default_workers, single_threaded
 from epiprior_lab.evaluation.inputs import PRESETS, model_files
 from epiprior_lab.evaluation.protocol import MODELS, pairs_of

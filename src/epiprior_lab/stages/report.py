@@ -8,7 +8,7 @@ from epiprior.verification.cascade import load_cascade_rule
 from epiprior_lab.compute.tasks import single_threaded
 from epiprior_lab.evaluation.inputs import FIRST
 from epiprior_lab.evaluation.protocol import MODELS, as_shipped, make_protocol, pairs_of
-from epiprior_lab.evaluation.records import KindRecord, Tables, read_frame
+from epiprior_lab.evaluation.records import KindRecord, Tables, read_frame, read_table
 from epiprior_lab.pairsets import known_sets
 from epiprior_lab.params import STUDY, Params, StudyParams, load_params, read_arguments
 from epiprior_lab.report.bounds import BOUNDS, load_bounds
@@ -17,7 +17,7 @@ from epiprior_lab.report.gallery import choose_cases, draw_cases
 from epiprior_lab.report.material import Extras
 from epiprior_lab.report.pictures import contact_sheet, density_of_roll, example_picture, rescued_pair, rolled_pairs
 from epiprior_lab.report.report import HAND_OVER_COLUMNS, read_classifiers, read_results, write_report
-from epiprior_lab.report.results import Results, read_table
+from epiprior_lab.report.results import Results
 
 KINDS = {"study": Path("data/kinds/kinds.csv"), "photographs": Path("data/real-kinds/kinds.csv")}
 GALLERY = Path("data/photographs-gallery")

@@ -21,11 +21,11 @@ from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.compute.tasks import Task, map_tasks, single_threaded
 from epiprior_lab.evaluation import learned, peers
 from epiprior_lab.evaluation.protocol import MODELS
+from epiprior_lab.evaluation.records import read_table
 from epiprior_lab.evaluation.sets import FOLDER
 from epiprior_lab.pairsets import read_pair_set
 from epiprior_lab.params import read_arguments
 from epiprior_lab.report.bags import write_bag_report
-from epiprior_lab.report.results import read_table
 
 RENDERED = Path("data/sfm-twins")
 SHARES = Path("reports/real/tables/pairs.csv")

@@ -17,7 +17,7 @@ from epiprior.rank import rank_matches
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
 from epiprior_lab.analysis import analyse as analysis
 from epiprior_lab.analysis import oracles as analysis_oracles
-from epiprior_lab.analysis.bench import AnalysisSettings
+from epiprior_lab.analysis.analyse import AnalysisSettings
 from epiprior_lab.analysis.records import Analysis, LimitRecord, VariantRecord
 from epiprior_lab.analysis.variants import oriented_votes, propose, ranked_sets, reordered
 from epiprior_lab.evaluation.records import RANKS, RankingRecord, RunRecord, Tables

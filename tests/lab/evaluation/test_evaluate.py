@@ -19,7 +19,7 @@ from epiprior_lab.compute.tasks import single_threaded
 from epiprior_lab.evaluation import inputs, runs
 from epiprior_lab.evaluation.evaluate import evaluate
 from epiprior_lab.evaluation.protocol import Protocol, make_protocol, pairs_of
-from epiprior_lab.evaluation.records import RECORDS
+from epiprior_lab.evaluation.records import Tables
 from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
 from epiprior_lab.pairsets import fundamental_from_cameras
 from epiprior_lab.params import MeasureParams, load_params
@@ -66,7 +66,7 @@ def test_runs_of_a_pair_of_which_only_what_changed_is_computed_again(pairs, prot
     assert row["confidence"] == estimate.confidence
     tables.write(tmp_path / "out")
     evaluate(pairs, protocol, group="relief", store=tmp_path / "store").write(tmp_path / "again")
-    for name in RECORDS:
+    for name in Tables.kinds:
         assert (tmp_path / "again" / f"{name}.csv").read_bytes() == (tmp_path / "out" / f"{name}.csv").read_bytes()
     calls = note_calls(monkeypatch, runs, "estimate_from_matches")
     monkeypatch.setattr(inputs, "detect_pair", None)  # nothing is matched again

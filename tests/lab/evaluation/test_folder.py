@@ -1,16 +1,8 @@
-import io
-from dataclasses import replace
-
-import numpy as np
-import pytest
-from rich.console import Console
-
 from calls import refused
 from epiprior.errors import SettingsError
 from epiprior_lab.evaluation import folder as own
-from epiprior_lab.evaluation.records import RECORDS, Tables
+from epiprior_lab.evaluation.records import Tables
 from epiprior_lab.evaluation.sets import link_sets
-from synthetic_tables import study_tables
 
 
 def test_sets_are_found_and_linked(relief, tmp_path):
@@ -39,13 +31,9 @@ def test_sets_are_found_and_linked(relief, tmp_path):
 def test_a_folder_is_evaluated(relief, model_folder, tiny_model, tmp_path, monkeypatch):
     monkeypatch.setattr(own, "find_model", lambda name: model_folder)
     monkeypatch.setenv("EPIPRIOR_WORKERS", "1")
-    console = Console(record=True, width=100, file=io.StringIO())
-    where = {"out": tmp_path / "out", "store": tmp_path / "store", "console": console}
+    where = {"out": tmp_path / "out", "store": tmp_path / "store"}
     tables = own.evaluate_folder(relief.parent, seeds=2, estimators=("usac",), **where)
-    text = console.export_text()
-    assert "relief, 2 pairs" in text
-    assert "all sets" not in text
-    assert {path.stem for path in (tmp_path / "out").glob("*.csv")} == set(RECORDS)
+    assert {path.stem for path in (tmp_path / "out").glob("*.csv")} == set(Tables.kinds)
     runs = Tables.read([tmp_path / "out"]).runs
     assert len(runs) == len(tables.runs) == 2 * 3 * 2
     own_runs = runs[runs["pair_id"] == "relief-0"]
@@ -53,16 +41,3 @@ def test_a_folder_is_evaluated(relief, model_folder, tiny_model, tmp_path, monke
     assert (own_runs["error_px"] < 3).all()
     for bad, message in (({"seeds": 0}, "seeds is 0"), ({"estimators": ("usak",)}, "'usak'")):
         refused(SettingsError, message, own.evaluate_folder, relief.parent, **bad)
-
-
-def test_the_summary_counts_failures():
-    tables = study_tables(pairs=4)
-    found = own.summarise(tables).set_index(["estimator", "input"]).loc[("usac", "default")]
-    runs = tables.runs.query("estimator == 'usac' and input == 'default'")
-    right = runs["error_px"] < 10
-    by_scene = right.groupby([runs["group"], runs["scene"]]).mean()
-    final = tables.rankings.query("input == 'default' and ranking == 'final'")
-    columns = ["pairs", "successes_10", "successes_3", "scene_share", "precision_100"]
-    counts = [8, right.sum() / 3, (runs["error_px"] < 3).sum() / 3]
-    assert found[columns].tolist() == pytest.approx([*counts, by_scene.mean(), final["right_100"].mean() / 100])
-    assert np.isnan(own.summarise(replace(tables, rankings=tables.rankings[:0]))["precision_100"]).all()

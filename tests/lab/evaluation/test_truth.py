@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from calls import refused
-from epiprior.errors import SettingsError
 from epiprior.geometry import sampson_distance
 from epiprior_lab.evaluation import truth as known
 from epiprior_lab.evaluation.truth import TruthSettings, evaluation_points, on_one_plane, pair_truth
@@ -60,7 +59,6 @@ def test_difficulty_and_the_settings_of_a_parameter_file():
     settings = TruthSettings(easy_share=0.5, hard_share=0.2)
     found = [settings.difficulty(share) for share in (0.51, 0.5, 0.2, 0.19, np.nan)]
     assert found == ["easy", "medium", "medium", "hard", ""]
-    refused(SettingsError, "hard_share", TruthSettings, easy_share=0.2, hard_share=0.5)
     labels = {"tolerance_px": 2.0, "tolerance_sigma": 0.25, "depth_tolerance": 0.03, "epipolar_px": 1.5}
     own = {"plane_px": 4.0, "easy_share": 0.6, "hard_share": 0.1}
     found = TruthSettings.of(TruthParams(**labels, **own, one_plane=None))

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from calls import refused
+from epiprior.errors import ImageError
 from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.report.pictures import _caption, contact_sheet
 from worlds import camera_pair
@@ -28,6 +29,6 @@ def test_every_pair_is_on_the_sheet_and_none_or_unreadable_ones_are_errors(tmp_p
     refused(DatasetError, "no pairs", contact_sheet, {"open": []}, tmp_path / "sheet.png")
     pair = pair_of(tmp_path, "p", (9, 9, 9))
     pair.image2.write_text("no image")
-    refused(DatasetError, r"p_2\.png", contact_sheet, {"open": [pair]}, tmp_path / "sheet.png")
+    refused(ImageError, r"p_2\.png", contact_sheet, {"open": [pair]}, tmp_path / "sheet.png")
     for roll, shown in ((348, -12), (180, 180), (181, -179), (0, 0), (-7, -7)):  # at most half a turn
         assert _caption(replace(pair, difficulty=f"overlap=0.50;roll={roll}deg")) == f"overlap 0.50   roll {shown}°"

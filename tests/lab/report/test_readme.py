@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from calls import refused
 from epiprior_lab.cli import app
+from epiprior_lab.evaluation.records import TableError
 from epiprior_lab.params import PHOTOGRAPHS
 from epiprior_lab.report import readme
-from epiprior_lab.report.results import ReportError
 
 ROOT = Path(__file__).parents[3]
 ESTIMATOR_OF_X_L = re.compile(r"\| X_L \| (\S+) \|")
@@ -56,7 +56,7 @@ def test_bad_markers_and_a_missing_report_are_named(root):
     for text in ("nothing", TEXT + TEXT, "<!-- results -->\nold\n"):
         refused(readme.ReadmeError, "expected 1", readme.render_readme, text, root)
     (root / readme.TABLES / "cascade.csv").unlink()
-    refused(ReportError, r"cascade\.csv", readme.render_readme, TEXT, root)
+    refused(TableError, r"cascade\.csv", readme.render_readme, TEXT, root)
 
 
 def test_the_table_of_the_readme_is_that_of_the_committed_report():

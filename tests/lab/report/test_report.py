@@ -3,9 +3,8 @@ import re
 import pandas as pd
 import pytest
 
-from epiprior_lab.evaluation.records import Tables
+from epiprior_lab.evaluation.records import TableError, Tables
 from epiprior_lab.report.report import read_classifiers, write_folder_report
-from epiprior_lab.report.results import ReportError
 from html_reader import Reader
 from synthetic_tables import PHOTOGRAPH_INPUTS, SETS, STUDY_INPUTS
 
@@ -82,5 +81,5 @@ def test_cross_validation_of_every_preset(tmp_path):
     text = "target,family,grouped,fold,metric,value\nmatch,tree,True,all,accuracy,0.5\n"
     (tmp_path / "paper" / "metrics.csv").write_text(text)
     assert read_classifiers(tmp_path, ["paper"])["preset"].tolist() == ["paper"]
-    with pytest.raises(ReportError, match="default"):
+    with pytest.raises(TableError, match="default"):
         read_classifiers(tmp_path, ["paper", "default"])

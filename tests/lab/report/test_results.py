@@ -4,31 +4,35 @@ import numpy as np
 import pandas as pd
 
 from calls import refused
-from epiprior_lab.evaluation.compare import POSE, Rates
+from epiprior_lab.report.results import Rates, Results
 from synthetic_tables import photograph_tables, study_tables
+
+
+def errors(tables):
+    return Rates(tables, tables.runs["error_px"])
 
 
 def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs_and_runs_are_unique():
     tables = study_tables(pairs=4)
-    rates = Rates(replace(tables, runs=tables.runs.sample(frac=1, random_state=1)))
-    found = rates.of("usac", "default", 5.0)
+    results = Results(tables, by="group", hard=("open",), draws=10, seed=0)
+    found = errors(replace(tables, runs=tables.runs.sample(frac=1, random_state=1))).of("usac", "default", 5.0)
     for k, pair in enumerate(tables.pairs.itertuples()):
         runs = tables.runs.query("group == @pair.group and pair_id == @pair.pair_id")
         runs = runs.query("estimator == 'usac' and input == 'default'")
         assert found[k] == np.mean([error < 5.0 for error in runs["error_px"]])  # NaN is no success
-        assert rates.scenes[k] == f"{pair.group}/{pair.scene}"
-    assert Rates(tables).estimators == ["usac", "prosac", "generalized-ransac", "epiprior"]
-    assert Rates(tables).inputs("generalized-ransac") == ["generalized", "snn", "default"]
+        assert results.scenes[k] == f"{pair.group}/{pair.scene}"
+    assert results.estimators == ["usac", "prosac", "generalized-ransac", "epiprior"]
+    assert results.errors.inputs("generalized-ransac") == ["generalized", "snn", "default"]
     tables = study_tables(pairs=1)
-    double = replace(tables, runs=pd.concat([tables.runs, tables.runs.iloc[:1]]))
-    refused(ValueError, "duplicate", lambda: Rates(double).values("usac", "standard"))
+    double = replace(tables, runs=pd.concat([tables.runs, tables.runs.iloc[:1]], ignore_index=True))
+    refused(ValueError, "duplicate", errors, double)
 
 
 def test_a_pair_without_runs_or_without_the_truth_is_a_failure():
     tables = photograph_tables()
     less = replace(tables, runs=tables.runs[tables.runs["pair_id"] != tables.pairs.iloc[0]["pair_id"]])
-    assert np.isinf(Rates(less).values("usac", "default")[0]).all()
-    poses = Rates(tables, POSE)
+    assert np.isinf(errors(less).values("usac", "default")[0]).all()
+    poses = Results(tables, by="group", hard=(), draws=10, seed=0).poses
     strecha = (tables.pairs["group"] == "strecha").to_numpy()  # no cameras
     assert np.isinf(poses.values("usac", "default")[strecha]).all()
     runs = tables.runs.query("group == 'fox' and estimator == 'usac' and input == 'default'")
