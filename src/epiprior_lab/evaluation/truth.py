@@ -36,7 +36,6 @@ class TruthSettings(LabelSettings):
     hard_share: float = 0.2
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.hard_share > self.easy_share:
             raise SettingsError(f"hard_share = {self.hard_share}: above easy_share = {self.easy_share}")
 
