@@ -4,8 +4,8 @@ import numpy as np
 
 from epiprior_lab.pairsets import Camera, Pair, reproject
 from epiprior_lab.scenes.camera_pairs import look_at
-from epiprior_lab.scenes.render import Light, cast_shadows
-from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, World, WorldBuilder, box, upright
+from epiprior_lab.scenes.render import Light
+from epiprior_lab.scenes.world import Frame, World, WorldBuilder, box, upright
 from pictures import texture
 from synthetic import HEIGHT as TALL
 from synthetic import WIDTH as WIDE
@@ -66,10 +66,6 @@ def camera_pair(image, cameras, **changes) -> Pair:
     """Return a pair that has cameras and nothing else."""
     known = dict(zip(("camera1", "camera2"), cameras, strict=True)) | {"image1": image, "image2": image}
     return Pair(**({"pair_id": "p", "scene": "s", "difficulty": ""} | known | changes))
-
-
-def no_shadows(world: World):
-    return cast_shadows(world, OVERCAST_FROM_ASIDE, np.zeros(3), view=BOTH_VIEWS)
 
 
 OVERCAST_FROM_ASIDE = Light(to_sun=np.array([0.6, -0.8, 0.0]), ambient=1.0)

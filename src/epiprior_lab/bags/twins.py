@@ -8,7 +8,7 @@ from epiprior_lab.scenes.camera_pairs import draw_camera_pair
 from epiprior_lab.scenes.facades import HouseStyle
 from epiprior_lab.scenes.photography import encode_jpeg, take
 from epiprior_lab.scenes.places import FACADE_TEXELS_PER_M, draw_street
-from epiprior_lab.scenes.render import cast_shadows, draw_light, render_image
+from epiprior_lab.scenes.render import draw_light, render_image
 from epiprior_lab.scenes.settings import FAMILIES
 from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW
 
@@ -36,8 +36,7 @@ def render_house(
         light, photographs = draw_light(rng), []
         for number, camera in enumerate(cameras):
             view = (FIRST_VIEW, SECOND_VIEW)[number % 2]
-            shadows = cast_shadows(world, light, subject.frame.foot, view=view)
-            seen = take(render_image(world, camera, light, shadows, view=view), rng)
+            seen = take(render_image(world, camera, light, view=view), rng)
             photographs.append((encode_jpeg(seen, jpeg_quality), camera))
         return photographs
     raise SceneError(f"{name}: no {pairs} pairs of views within the bounds of {family!r} in {_STREETS} streets")

@@ -10,10 +10,10 @@ from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
+import pandas as pd
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from epiprior.errors import SettingsError
 from epiprior.geometry import MIN_MATCHES, as_points, eight_point, normalise_fundamental, sampson_distance
 from epiprior.types import BoolArray, Float32Array, FloatArray
 from epiprior_lab.pairsets import DatasetError, Pair, covisible, depth_at, reproject, transfer
@@ -28,11 +28,11 @@ _PerImage = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, kw_only=True)
 class LabelSettings:
-    """When a match counts as right; SettingsError if a value is out of its range.
+    """When a match counts as right.
 
-    A reprojection error is allowed up to the larger of `tolerance_px` (> 0) and `tolerance_sigma` (>= 0) times the
-    feature's sigma, since large features are located less well; a point is visible where depths differ relatively by
-    less than `depth_tolerance`, in (0, 1). Without depth, Sampson distances are up to `epipolar_px` pixels (> 0).
+    A reprojection error is allowed up to the larger of `tolerance_px` and `tolerance_sigma` times the feature's sigma,
+    since large features are located less well; a point is visible where depths differ relatively by less than
+    `depth_tolerance`. Without depth, Sampson distances are up to `epipolar_px` pixels.
     """
 
     tolerance_px: float = 3.0
@@ -44,16 +44,6 @@ class LabelSettings:
     def of(cls, truth: TruthParams) -> Self:
         """Return the tolerances of a parameter file."""
         return cls(**{part.name: getattr(truth, part.name) for part in fields(cls)})
-
-    def __post_init__(self) -> None:
-        for name, allowed, expected in (
-            ("tolerance_px", self.tolerance_px > 0, "> 0"),
-            ("epipolar_px", self.epipolar_px > 0, "> 0"),
-            ("tolerance_sigma", self.tolerance_sigma >= 0, ">= 0"),
-            ("depth_tolerance", 0 < self.depth_tolerance < 1, "in (0, 1)"),
-        ):
-            if not allowed:
-                raise SettingsError(f"{name} = {getattr(self, name)}, expected a number {expected}")
 
 
 def label_matches(
@@ -184,11 +174,6 @@ def control_points_from_depth(cameras: Cameras, depths: DepthMaps, *, count: int
     order = np.random.default_rng(seed).permutation(len(x1))
     # Square cells of such a size that about `count` of them cover the overlap; one point of each, then a second round.
     side = max(1.0, np.sqrt(len(x1) / count))
-    cells = (x1[order] // side).astype(np.int64)
-    _, cell = np.unique(cells[:, 1] * 1_000_000 + cells[:, 0], return_inverse=True)
-    by_cell = np.argsort(cell, kind="stable")
-    starts = np.flatnonzero(np.r_[True, np.diff(cell[by_cell]) > 0])
-    rank_in_cell = np.empty(len(cell), dtype=np.int64)
-    rank_in_cell[by_cell] = np.arange(len(cell)) - np.repeat(starts, np.diff(np.r_[starts, len(cell)]))
-    chosen = np.sort(order[np.lexsort((np.arange(len(cell)), rank_in_cell))[:count]])
+    rank_in_cell = pd.DataFrame(x1[order] // side).groupby([0, 1]).cumcount()
+    chosen = np.sort(order[np.argsort(rank_in_cell, kind="stable")[:count]])
     return x1[chosen], x2[chosen]

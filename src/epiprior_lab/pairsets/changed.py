@@ -65,7 +65,8 @@ def write_changed_set(root: Path, pairs: Mapping[str, Pair], change: str) -> Non
     if root.is_dir():
         shutil.rmtree(root)  # what is left of another choice of pairs would count as part of the set
     (root / "images").mkdir(parents=True)
-    pair_rows, camera_rows = [], []
+    rows: list[list[str]] = []
+    cameras: dict[str, Camera] = {}
     for name, pair in pairs.items():
         if pair.depth_paths is not None:
             raise files.DatasetError(f"{root}: depth maps, which pair {pair.pair_id!r} has, are not changed")
@@ -82,12 +83,9 @@ def write_changed_set(root: Path, pairs: Mapping[str, Pair], change: str) -> Non
         truth = _write_matrix(root, name, pair, how)
         if pair.camera1 is not None and pair.camera2 is not None:
             truth = "cameras"
-            cameras = pair.camera1, _changed(pair.camera2, how)
-            camera_rows += [files.camera_row(*one) for one in zip(images, cameras, strict=True)]
-        pair_rows.append([name, *images, truth, f"{name.removesuffix(pair.pair_id)}{pair.scene}", pair.difficulty])
-    files.write_table(root / "pairs.csv", files.PAIR_COLUMNS, pair_rows)
-    if camera_rows:
-        files.write_table(root / "cameras.csv", files.CAMERA_COLUMNS, camera_rows)
+            cameras |= zip(images, (pair.camera1, _changed(pair.camera2, how)), strict=True)
+        rows.append([name, *images, truth, f"{name.removesuffix(pair.pair_id)}{pair.scene}", pair.difficulty])
+    files.write_tables(root, rows, cameras)
 
 
 def _write_matrix(root: Path, name: str, pair: Pair, how: Change) -> str:

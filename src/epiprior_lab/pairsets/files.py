@@ -121,7 +121,14 @@ def read_cameras(path: Path) -> dict[str, Camera]:
     return cameras
 
 
-def camera_row(image: str, camera: Camera) -> list[str]:
+def write_tables(root: Path, pairs: Iterable[list[str]], cameras: Mapping[str, Camera]) -> None:
+    """Write ``pairs.csv``, and where there are cameras by image ``cameras.csv``; DatasetError if one has a skew."""
+    write_table(root / "pairs.csv", PAIR_COLUMNS, pairs)
+    if cameras:
+        write_table(root / "cameras.csv", CAMERA_COLUMNS, (_camera_row(*item) for item in cameras.items()))
+
+
+def _camera_row(image: str, camera: Camera) -> list[str]:
     """Return a row of ``cameras.csv``, floats as their shortest exact text; DatasetError if the camera has a skew."""
     K = camera.K
     if abs(K[0, 1]) > 1e-6 * K[0, 0]:

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from epiprior_lab.pairsets.cameras import Camera
-from epiprior_lab.pairsets.files import CAMERA_COLUMNS, PAIR_COLUMNS, DatasetError, camera_row, write_table
+from epiprior_lab.pairsets.cameras import Camera, Cameras
+from epiprior_lab.pairsets.files import DatasetError, write_tables
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -15,12 +15,9 @@ class PairFiles:
     pair_id: str
     scene: str
     difficulty: str
-    camera1: Camera
-    camera2: Camera
-    jpeg1: bytes
-    jpeg2: bytes
-    depth1: bytes
-    depth2: bytes
+    cameras: Cameras
+    jpegs: tuple[bytes, bytes]
+    depths: tuple[bytes, bytes]
 
 
 def write_pair_set(root: Path, pairs: Sequence[PairFiles]) -> None:
@@ -28,21 +25,18 @@ def write_pair_set(root: Path, pairs: Sequence[PairFiles]) -> None:
 
     DatasetError if there is no pair or a pair id is there twice.
     """
-    names = [pair.pair_id for pair in pairs]
-    if not names or len(set(names)) < len(names):
-        raise DatasetError(
-            f"{root}: {len(names)} pairs with {len(set(names))} pair ids; expected one or more, all different"
-        )
-    pair_rows, camera_rows = [], []
-    (root / "images").mkdir(parents=True, exist_ok=True)
-    (root / "depth").mkdir(exist_ok=True)
+    names = {pair.pair_id for pair in pairs}
+    if not names or len(names) < len(pairs):
+        raise DatasetError(f"{root}: {len(pairs)} pairs with {len(names)} pair ids; expected some, all different")
+    rows: list[list[str]] = []
+    cameras: dict[str, Camera] = {}
+    for folder in ("images", "depth"):
+        (root / folder).mkdir(parents=True, exist_ok=True)
     for pair in pairs:
-        stems = f"{pair.pair_id}_1", f"{pair.pair_id}_2"
-        images = [f"images/{stem}.jpg" for stem in stems]
-        for stem, jpeg, depth in zip(stems, (pair.jpeg1, pair.jpeg2), (pair.depth1, pair.depth2), strict=True):
-            (root / "images" / f"{stem}.jpg").write_bytes(jpeg)
-            (root / "depth" / f"{stem}.npz").write_bytes(depth)
-        pair_rows.append([pair.pair_id, *images, "cameras", pair.scene, pair.difficulty])
-        camera_rows += [camera_row(images[0], pair.camera1), camera_row(images[1], pair.camera2)]
-    write_table(root / "pairs.csv", PAIR_COLUMNS, pair_rows)
-    write_table(root / "cameras.csv", CAMERA_COLUMNS, camera_rows)
+        images = [f"images/{pair.pair_id}_{side}.jpg" for side in (1, 2)]
+        for image, jpeg, depth in zip(images, pair.jpegs, pair.depths, strict=True):
+            (root / image).write_bytes(jpeg)
+            (root / "depth" / f"{Path(image).stem}.npz").write_bytes(depth)
+        rows.append([pair.pair_id, *images, "cameras", pair.scene, pair.difficulty])
+        cameras |= zip(images, pair.cameras, strict=True)
+    write_tables(root, rows, cameras)

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epiprior.types import Float32Array, FloatArray
+from epiprior.types import FloatArray
 from epiprior_lab.pairsets import Camera, ViewDifference, covisible, depth_at, view_difference
+from epiprior_lab.pairsets.cameras import Cameras, DepthMaps
 from epiprior_lab.scenes.render import render_depth
 from epiprior_lab.scenes.settings import FamilySettings
-from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Frame, World
+from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, World
 
 _PREVIEW = 8
 _TRIES = 40
@@ -18,12 +19,11 @@ _RELIEF_M = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What is photographed: cameras stand before `frame`, `eye_m` above the ground, and aim at a place on it.
+    """What is photographed: cameras stand before the plane z = 0, `eye_m` above the ground, and aim at a place on it.
 
-    `distance_m` (low, high) is that of the nearer camera, `obliquity_deg` the largest angle to the front's normal.
+    `distance_m` (low, high) is that of the nearer camera, `obliquity_deg` the largest angle to the plane's normal.
     """
 
-    frame: Frame
     distance_m: tuple[float, float]
     obliquity_deg: float
     aim_across_m: tuple[float, float]
@@ -58,7 +58,7 @@ def draw_camera_pair(
         difference = view_difference(small, depths, step=1)
         within = settings.overlap[0] <= difference.overlap <= settings.overlap[1]
         within &= settings.angle_deg[0] <= difference.angle_deg <= settings.angle_deg[1]
-        if within and _relief(subject.frame, small, depths) >= settings.relief:
+        if within and _relief(small, depths) >= settings.relief:
             return camera1, camera2, difference
     return None
 
@@ -78,9 +78,9 @@ def _draw(
     cameras = []
     for azimuth, distance, roll in zip(azimuths, distances, rolls, strict=True):
         shift = rng.uniform(-0.1, 0.1, size=2) * distance
-        target = subject.frame.point(aim[0] + shift[0], max(0.3, aim[1] + 0.4 * shift[1]))
+        target = np.array([aim[0] + shift[0], -max(0.3, aim[1] + 0.4 * shift[1]), 0.0])
         a, c = np.sin(np.deg2rad(azimuth)) * distance, np.cos(np.deg2rad(azimuth)) * distance
-        eye = subject.frame.point(aim[0] + a, float(rng.uniform(*subject.eye_m)), c)
+        eye = np.array([aim[0] + a, -rng.uniform(*subject.eye_m), -c])
         focal_px = focal * rng.uniform(0.97, 1.03)
         cameras.append(look_at(eye, target, roll_deg=roll, focal_px=focal_px, width=width, height=height))
     return cameras[0], cameras[1]
@@ -94,8 +94,8 @@ def _preview(camera: Camera) -> Camera:
     return Camera(K=K, R=camera.R, t=camera.t, width=camera.width // _PREVIEW, height=camera.height // _PREVIEW)
 
 
-def _relief(frame: Frame, cameras: tuple[Camera, Camera], depths: tuple[Float32Array, Float32Array]) -> float:
+def _relief(cameras: Cameras, depths: DepthMaps) -> float:
     """Return the part of the common points that lies off the subject's plane."""
     x1, _, visible = covisible(cameras, depths)
     points = cameras[0].back_project(x1[visible], depth_at(depths[0], x1[visible]))
-    return float((np.abs((points - frame.foot) @ frame.outward) > _RELIEF_M).mean())
+    return float((np.abs(points[:, 2]) > _RELIEF_M).mean())

@@ -72,40 +72,34 @@ def _overlay(first: Image, second: Image, rng: np.random.Generator) -> Views:
     return written(first), written(second)
 
 
-def _homography_views(moves: bool) -> Callable[[Image, Image, np.random.Generator], Views]:
-    def make(first: Image, second: Image, rng: np.random.Generator) -> Views:
-        del second
-        width, height = _SIZE
-        K = np.array([[rng.uniform(0.8, 1.4) * width, 0, width / 2], [0, 0, height / 2], [0, 0, 1.0]])
-        K[1, 1] = K[0, 0]
-        side = rng.uniform(1.0, 1.5) * max(_SIZE) / K[0, 0] / min(first.shape[:2])
-        # From the photograph's pixels to the plane z = 1 before the first camera; beyond its rim it is mirrored. It is
-        # so large that nothing is seen twice the same way round.
-        shift = [-side * length / 2 for length in first.shape[1::-1]]
-        to_plane = np.array([[side, 0, shift[0]], [0, side, shift[1]], [0, 0, 1.0]])
-        slant = Rotation.from_euler("xy", rng.uniform(-25, 25, 2), degrees=True).as_matrix()
-        views = []
-        for turned in (False, True):
-            R, centre = np.eye(3), np.zeros(3)
-            if turned:
-                angles = [rng.uniform(8, 30), rng.uniform(-6, 6), rng.uniform(-10, 10)]
-                R = Rotation.from_euler("yxz", angles, degrees=True).as_matrix()
-                # A camera that moves looks at the same spot again; one that turns sees what lies beside it.
-                away = R.T @ np.array([0, 0, -1.0]) * rng.uniform(0.75, 1.25) + np.array([0, 0, 1.0])
-                centre = away if moves else np.zeros(3)
-            # Points of the plane are (0, 0, 1) + slant (u, v, 0).
-            plane = np.column_stack([slant[:, 0], slant[:, 1], np.array([0, 0, 1.0]) - centre])
-            map_ = K @ R @ plane @ to_plane
-            seen = cv2.warpPerspective(first, map_, _SIZE, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REFLECT)
-            views.append(take(np.asarray(seen, np.uint8), rng))
-        return views[0], views[1]
-
-    return make
+def _homography_views(image: Image, rng: np.random.Generator, *, moves: bool) -> Views:
+    width, height = _SIZE
+    K = np.array([[rng.uniform(0.8, 1.4) * width, 0, width / 2], [0, 0, height / 2], [0, 0, 1.0]])
+    K[1, 1] = K[0, 0]
+    side = rng.uniform(1.0, 1.5) * max(_SIZE) / K[0, 0] / min(image.shape[:2])
+    # From the photograph's pixels to the plane z = 1 before the first camera; beyond its rim it is mirrored. It is
+    # so large that nothing is seen twice the same way round.
+    shift = [-side * length / 2 for length in image.shape[1::-1]]
+    to_plane = np.array([[side, 0, shift[0]], [0, side, shift[1]], [0, 0, 1.0]])
+    slant = Rotation.from_euler("xy", rng.uniform(-25, 25, 2), degrees=True).as_matrix()
+    R, centre, views = np.eye(3), np.zeros(3), []
+    for turned in (False, True):
+        if turned:
+            angles = [rng.uniform(8, 30), rng.uniform(-6, 6), rng.uniform(-10, 10)]
+            R = Rotation.from_euler("yxz", angles, degrees=True).as_matrix()
+            # A camera that moves looks at the same spot again; one that turns sees what lies beside it.
+            away = R.T @ np.array([0, 0, -1.0]) * rng.uniform(0.75, 1.25) + np.array([0, 0, 1.0])
+            centre = away if moves else np.zeros(3)
+        # Points of the plane are (0, 0, 1) + slant (u, v, 0).
+        plane = np.column_stack([slant[:, 0], slant[:, 1], np.array([0, 0, 1.0]) - centre])
+        map_ = K @ R @ plane @ to_plane
+        seen = cv2.warpPerspective(image, map_, _SIZE, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REFLECT)
+        views.append(take(np.asarray(seen, np.uint8), rng))
+    return views[0], views[1]
 
 
-def _copy(first: Image, second: Image, rng: np.random.Generator) -> Views:
-    del second
-    copy, height, width = first, *first.shape[:2]
+def _copy(image: Image, rng: np.random.Generator) -> Views:
+    copy, height, width = image, *image.shape[:2]
     form = int(rng.integers(6))
     if form in (1, 5):
         factor = float(rng.uniform(0.5, 0.9))
@@ -121,14 +115,14 @@ def _copy(first: Image, second: Image, rng: np.random.Generator) -> Views:
         copy = np.rot90(copy, int(rng.integers(1, 4)))
     data = np.frombuffer(encode_jpeg(np.ascontiguousarray(copy), int(rng.integers(60, 96))), np.uint8)
     decoded = cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB)
-    return first, np.asarray(decoded, np.uint8)
+    return image, np.asarray(decoded, np.uint8)
 
 
 _MAKERS: Mapping[str, Callable[[Image, Image, np.random.Generator], Views]] = {
     "unrelated": lambda first, second, _: (first, second),
     "overlay": _overlay,
-    "plane": _homography_views(moves=True),
-    "rotation": _homography_views(moves=False),
-    "copy": _copy,
+    "plane": lambda first, _, rng: _homography_views(first, rng, moves=True),
+    "rotation": lambda first, _, rng: _homography_views(first, rng, moves=False),
+    "copy": lambda first, _, rng: _copy(first, rng),
 }
 KINDS = tuple(_MAKERS)

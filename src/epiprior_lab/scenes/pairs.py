@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from epiprior.errors import EpipriorError, SettingsError
-from epiprior.types import Float32Array
-from epiprior_lab.pairsets import Camera, ViewDifference
+from epiprior_lab.pairsets import ViewDifference
+from epiprior_lab.pairsets.cameras import Cameras, DepthMaps
 from epiprior_lab.scenes.camera_pairs import draw_camera_pair
 from epiprior_lab.scenes.facades import HouseStyle
 from epiprior_lab.scenes.photography import take
 from epiprior_lab.scenes.places import FACADE_TEXELS_PER_M, draw_open_scene, draw_street
-from epiprior_lab.scenes.render import cast_shadows, draw_light, render_depth, render_image
-from epiprior_lab.scenes.settings import FAMILIES, FamilySettings
-from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Image
+from epiprior_lab.scenes.render import draw_light, render_depth, render_image
+from epiprior_lab.scenes.settings import FAMILIES
+from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Image, World
 
 _WORLDS = 12
 
@@ -26,44 +26,27 @@ class SceneError(EpipriorError, RuntimeError):
 class RenderedPair:
     """Two images (H, W, 3), RGB, of one scene; depths (H, W) along the axis, metres, inf where nothing is seen."""
 
-    image1: Image
-    image2: Image
-    depth1: Float32Array
-    depth2: Float32Array
-    camera1: Camera
-    camera2: Camera
+    images: tuple[Image, Image]
+    depths: DepthMaps
+    cameras: Cameras
     difference: ViewDifference
 
 
-def render_pair(
-    family: str, seed: int, *, width: int = 1024, height: int = 768, settings: FamilySettings | None = None
-) -> RenderedPair:
-    """Render a pair of a family of `FAMILIES`, or with other `settings`; equal seeds give equal bytes.
+def render_pair(family: str, seed: int, *, width: int = 1024, height: int = 768) -> RenderedPair:
+    """Render a pair of a family of `FAMILIES`; equal seeds give equal bytes.
 
-    SettingsError if the family is unknown or a side is below 64 pixels; SceneError if a dozen scenes in a row offer no
-    two views within the family's bounds.
+    SettingsError if the family is unknown; SceneError if a dozen scenes in a row offer no two views within its bounds.
     """
-    if settings is None and family not in FAMILIES:
+    if family not in FAMILIES:
         raise SettingsError(f"family = {family!r}, expected one of {', '.join(FAMILIES)}")
-    settings = settings or FAMILIES[family]
-    if min(width, height) < 64:
-        raise SettingsError(f"image size {width} x {height}, expected at least 64 x 64")
-    for attempt in np.random.SeedSequence(seed).spawn(_WORLDS):
-        rng = np.random.default_rng(attempt)
-        draw = draw_street if rng.random() < settings.facades else draw_open_scene
-        world, subject = draw(rng, settings)
-        cameras = draw_camera_pair(rng, world, subject, settings, width=width, height=height)
-        if cameras is None:
-            continue
-        images, depths = [], []
-        light = draw_light(rng)
-        lights = light, draw_light(rng) if rng.random() < settings.relit else light
-        for camera, view, sun in zip(cameras[:2], (FIRST_VIEW, SECOND_VIEW), lights, strict=True):
-            shadows = cast_shadows(world, sun, subject.frame.foot, view=view)
-            images.append(take(render_image(world, camera, sun, shadows, view=view), rng))
-            depths.append(render_depth(world, camera, view=view))
-        return RenderedPair(images[0], images[1], depths[0], depths[1], *cameras)
-    raise SceneError(f"family {family!r}, seed {seed}: no two views within the family's bounds in {_WORLDS} scenes")
+    rng, world, cameras, difference = _draw(family, np.random.SeedSequence(seed), width, height)
+    images, depths = [], []
+    light = draw_light(rng)
+    lights = light, draw_light(rng) if rng.random() < FAMILIES[family].relit else light
+    for camera, view, own in zip(cameras, (FIRST_VIEW, SECOND_VIEW), lights, strict=True):
+        images.append(take(render_image(world, camera, own, view=view), rng))
+        depths.append(render_depth(world, camera, view=view))
+    return RenderedPair((images[0], images[1]), (depths[0], depths[1]), cameras, difference)
 
 
 def render_doppelgangers(family: str, seed: int, *, width: int = 1024, height: int = 768) -> tuple[Image, Image]:
@@ -71,21 +54,28 @@ def render_doppelgangers(family: str, seed: int, *, width: int = 1024, height: i
 
     The style is one of the family's streets. Equal seeds give equal bytes; SceneError as `render_pair`.
     """
-    settings = FAMILIES[family]
-    parts = np.random.SeedSequence(seed).spawn(3)
-    style = HouseStyle(np.random.default_rng(parts[0]), settings, FACADE_TEXELS_PER_M)
+    first, *others = np.random.SeedSequence(seed).spawn(3)
+    style = HouseStyle(np.random.default_rng(first), FAMILIES[family], FACADE_TEXELS_PER_M)
     images = []
-    for part in parts[1:]:
-        for attempt in part.spawn(_WORLDS):
-            rng = np.random.default_rng(attempt)
-            world, subject = draw_street(rng, settings, style)
-            cameras = draw_camera_pair(rng, world, subject, settings, width=width, height=height)
-            if cameras is None:
-                continue
-            light = draw_light(rng)
-            shadows = cast_shadows(world, light, subject.frame.foot, view=FIRST_VIEW)
-            images.append(take(render_image(world, cameras[0], light, shadows, view=FIRST_VIEW), rng))
-            break
-        else:
-            raise SceneError(f"family {family!r}, seed {seed}: no view within the family's bounds in {_WORLDS} scenes")
+    for own in others:
+        rng, world, cameras, _ = _draw(family, own, width, height, style)
+        images.append(take(render_image(world, cameras[0], draw_light(rng), view=FIRST_VIEW), rng))
     return images[0], images[1]
+
+
+def _draw(
+    family: str, seed: np.random.SeedSequence, width: int, height: int, style: HouseStyle | None = None
+) -> tuple[np.random.Generator, World, Cameras, ViewDifference]:
+    """Draw scenes until one, a street if `style` is given, offers two views; return it and its random numbers."""
+    settings = FAMILIES[family]
+    for attempt in seed.spawn(_WORLDS):
+        rng = np.random.default_rng(attempt)
+        if style is not None or rng.random() < settings.facades:
+            world, subject = draw_street(rng, settings, style)
+        else:
+            world, subject = draw_open_scene(rng, settings)
+        views = draw_camera_pair(rng, world, subject, settings, width=width, height=height)
+        if views is not None:
+            return rng, world, views[:2], views[2]
+    where = f"family {family!r}, seed {seed.entropy}"
+    raise SceneError(f"{where}: no two views within the family's bounds in {_WORLDS} scenes")

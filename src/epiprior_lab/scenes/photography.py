@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 
-from epiprior.errors import SettingsError
 from epiprior.types import Float32Array
 from epiprior_lab.scenes.world import Image
 
@@ -34,8 +33,6 @@ def take(image: Image, rng: np.random.Generator) -> Image:
 
 
 def encode_jpeg(image: Image, quality: int) -> bytes:
-    """Return an RGB image as the bytes of a JPEG file; SettingsError if the quality is not in 1 to 100."""
-    if not 1 <= quality <= 100:
-        raise SettingsError(f"jpeg_quality = {quality}, expected 1 to 100")
+    """Return an RGB image as the bytes of a JPEG file of a quality in 1 to 100."""
     _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     return data.tobytes()

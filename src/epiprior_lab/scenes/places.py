@@ -120,7 +120,6 @@ def draw_street(rng: Generator, settings: FamilySettings, style: HouseStyle | No
     scatter(world, rng, FURNITURE, count=int(rng.integers(3, 8)), across=across, before=before, view=BOTH_VIEWS)
     _add_passing(world, rng, settings, across=across, before=before)
     subject = Subject(
-        frame=Frame.facing((0.0, 0.0, 0.0), 0.0),
         distance_m=(11.0, 18.0),
         obliquity_deg=55.0,
         aim_across_m=(-0.2 * width, 0.2 * width),
@@ -177,7 +176,6 @@ def draw_open_scene(rng: Generator, settings: FamilySettings) -> tuple[World, Su
     scatter(world, rng, FURNITURE, count=count, across=(-9.0, 9.0), before=(-6.0, 4.0), view=BOTH_VIEWS)
     _add_passing(world, rng, settings, across=(-6.0, 6.0), before=(0.5, 4.0))
     subject = Subject(
-        frame=Frame.facing((0.0, 0.0, 0.0), 0.0),
         distance_m=(7.0, 11.0),
         obliquity_deg=70.0,
         aim_across_m=(-2.5, 2.5),

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from epiprior.types import Float32Array, FloatArray, IntArray
 
@@ -21,46 +20,39 @@ _SHADOW_BIAS_M = 0.02
 
 
 class Faces(NamedTuple):
-    """Faces as one camera sees them; N of them, near ones first for speed.
+    """The faces of a world as one camera sees them; N of them, near ones first for speed.
 
-    `inverse` (N, 3, 3) is inv(M); `bounds` (N, 4) are pixels (left, top, right, bottom) outside which a face
-    is not seen; `light` (N, 2) is brightness in the shade, and what the sun adds; the others are as in `World`.
+    `world_face` (N,) are their numbers in the world; `inverse` (N, 3, 3) is inv(M); `bounds` (N, 4) are pixels (left,
+    top, right, bottom) outside which a face is not seen; `light` (N, 2) is brightness in the shade, and what the sun
+    adds.
     """
 
+    world_face: IntArray
     inverse: FloatArray
     bounds: FloatArray
     normal: FloatArray
     light: FloatArray
-    frame: FloatArray
-    texture: IntArray
-    triangle: IntArray
-    cut_out: IntArray
-    mirror: FloatArray
-    levels: IntArray
-    texels: NDArray[np.uint8]
 
 
 class Place(NamedTuple):
-    """What is the same for all faces: camera, surroundings, sun.
+    """Camera and sun: `to_world` (3, 3) maps a pixel (x, y, 1) to its ray, of length 1 along the axis, from `eye` (3,).
 
-    `to_world` (3, 3) maps a pixel (x, y, 1) to its ray, of length 1 along the axis, from `eye` (3,); `sun_projection`
-    (3, 4) maps world points to pixels of `sun_depth`, which holds how far the sun sees.
+    `sun_projection` (3, 4) maps world points to pixels of `sun_depth`, which holds how far the sun sees.
     """
 
     to_world: FloatArray
     eye: FloatArray
-    surroundings: NDArray[np.uint8]
     sun_projection: FloatArray
     sun_depth: Float32Array
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest_faces(faces, samples, inverse_depth, number):  # type: ignore[no-untyped-def]
+def nearest_faces(world, faces, samples, inverse_depth, number):  # type: ignore[no-untyped-def]
     """Write inverse depth and number of the nearest face of each sample, `samples` per axis; they are 0 and -1."""
     rows, columns = inverse_depth.shape
     for k in range(len(faces.inverse)):
-        M, frame = faces.inverse[k], faces.frame[k]
-        levels = faces.levels[faces.texture[k]]
+        face, M = faces.world_face[k], faces.inverse[k]
+        frame, levels = world.texture_frame[face], world.levels[world.texture[face]]
         left = max(0, math.floor((faces.bounds[k, 0] + 0.5) * samples - 0.5))
         right = min(columns - 1, math.ceil((faces.bounds[k, 2] + 0.5) * samples - 0.5))
         top = max(0, math.floor((faces.bounds[k, 1] + 0.5) * samples - 0.5))
@@ -72,7 +64,7 @@ def nearest_faces(faces, samples, inverse_depth, number):  # type: ignore[no-unt
             first, last = _span(s0, ds, float(left), float(right))
             first, last = _span(t0, dt, first, last)
             first, last = _span(w0, dw, first, last)
-            if faces.triangle[k] == 1:
+            if world.triangle[face] == 1:
                 first, last = _span(w0 - s0 - t0, dw - ds - dt, first, last)
             else:
                 first, last = _span(w0 - s0, dw - ds, first, last)
@@ -80,7 +72,7 @@ def nearest_faces(faces, samples, inverse_depth, number):  # type: ignore[no-unt
             if first > last:
                 continue
             start, end = math.ceil(first), math.floor(last)
-            if faces.cut_out[k] == 0:
+            if world.cut_out[face] == 0:
                 for j in range(start, end + 1):
                     w = w0 + dw * j
                     if w > inverse_depth[i, j]:
@@ -96,11 +88,9 @@ def nearest_faces(faces, samples, inverse_depth, number):  # type: ignore[no-unt
                 w = w0 + dw * j
                 if w <= inverse_depth[i, j]:
                     continue
-                f, g = (s0 + ds * j) / w, (t0 + dt * j) / w
-                u = frame[0, 0] + f * frame[1, 0] + g * frame[2, 0]
-                v = frame[0, 1] + f * frame[1, 1] + g * frame[2, 1]
+                u, v = _on_texture(frame, (s0 + ds * j) / w, (t0 + dt * j) / w)
                 column, row = int((u - math.floor(u)) * width), int((v - math.floor(v)) * height)
-                if faces.texels[offset + min(row, height - 1) * width + min(column, width - 1), 3] >= _OPAQUE:
+                if world.texels[offset + min(row, height - 1) * width + min(column, width - 1), 3] >= _OPAQUE:
                     inverse_depth[i, j] = w
                     number[i, j] = k
 
@@ -120,14 +110,19 @@ def _texture_place(M, frame, place, samples):  # type: ignore[no-untyped-def]
     """Return texture coordinates, and their change per sample along x and y; `place` is inv(M) p."""
     s, t, w = place
     f, g = s / w, t / w
-    u = frame[0, 0] + f * frame[1, 0] + g * frame[2, 0]
-    v = frame[0, 1] + f * frame[1, 1] + g * frame[2, 1]
     step = 1.0 / (w * samples)
     fx, gx = (M[0, 0] - f * M[2, 0]) * step, (M[1, 0] - g * M[2, 0]) * step
     fy, gy = (M[0, 1] - f * M[2, 1]) * step, (M[1, 1] - g * M[2, 1]) * step
     step_x = fx * frame[1, 0] + gx * frame[2, 0], fx * frame[1, 1] + gx * frame[2, 1]
     step_y = fy * frame[1, 0] + gy * frame[2, 0], fy * frame[1, 1] + gy * frame[2, 1]
-    return (u, v), step_x, step_y
+    return _on_texture(frame, f, g), step_x, step_y
+
+
+@numba.njit(cache=True, nogil=True)
+def _on_texture(frame, f, g):  # type: ignore[no-untyped-def]
+    """Return the texture coordinates of a place (f, g) on a face, parts of its edges."""
+    u = frame[0, 0] + f * frame[1, 0] + g * frame[2, 0]
+    return u, frame[0, 1] + f * frame[1, 1] + g * frame[2, 1]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -221,19 +216,19 @@ def _mapped(M, x, y):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _face_colour(faces, place, k, x, y):  # type: ignore[no-untyped-def]
+def _face_colour(world, faces, place, k, x, y):  # type: ignore[no-untyped-def]
     """Return the colour of face `k` around a pixel (x, y)."""
-    M, normal = faces.inverse[k], faces.normal[k]
+    face, M, normal = faces.world_face[k], faces.inverse[k], faces.normal[k]
     rx, ry, rz = _mapped(place.to_world, x, y)
     s, t, w = _mapped(M, x, y)
     w = max(w, 1e-9)
-    (u, v), step_x, step_y = _texture_place(M, faces.frame[k], (s, t, w), 1)
-    levels = faces.levels[faces.texture[k]]
+    (u, v), step_x, step_y = _texture_place(M, world.texture_frame[face], (s, t, w), 1)
+    levels = world.levels[world.texture[face]]
     level, probes, (du, dv) = _level_of(levels, step_x, step_y)
     r, g, b, opacity = 0.0, 0.0, 0.0, 0.0
     for probe in range(probes):
         part = (probe + 0.5) / probes - 0.5
-        dr, dg, db, da = _texel(levels[level], faces.texels, u + part * du, v + part * dv)
+        dr, dg, db, da = _texel(levels[level], world.texels, u + part * du, v + part * dv)
         r, g, b, opacity = r + dr, g + dg, b + db, opacity + da
     shade = faces.light[k, 0]
     if faces.light[k, 1] > 0.0:
@@ -245,17 +240,17 @@ def _face_colour(faces, place, k, x, y):  # type: ignore[no-untyped-def]
         shade += faces.light[k, 1] * _sunlit(place.sun_projection, place.sun_depth, (px, py, pz))
     factor = shade / probes
     r, g, b = r * factor, g * factor, b * factor
-    share = faces.mirror[k] * min(max((255.0 - opacity / probes) / (255.0 - _OPAQUE), 0.0), 1.0)
+    share = world.mirror[face] * min(max((255.0 - opacity / probes) / (255.0 - _OPAQUE), 0.0), 1.0)
     if share > 0.0:
         d = 2.0 * (rx * normal[0] + ry * normal[1] + rz * normal[2])
         reflected = rx - d * normal[0], ry - d * normal[1], rz - d * normal[2]
-        mr, mg, mb = _surroundings_at(place.surroundings, reflected)
+        mr, mg, mb = _surroundings_at(world.surroundings, reflected)
         r, g, b = r + share * (mr - r), g + share * (mg - g), b + share * (mb - b)
     return r, g, b
 
 
 @numba.njit(cache=True, nogil=True)
-def paint(faces, place, number, image):  # type: ignore[no-untyped-def]
+def paint(world, faces, place, number, image):  # type: ignore[no-untyped-def]
     """Write the colour of each pixel: the mean over its samples in `number`, each face looked up once."""
     rows, columns = image.shape[:2]
     samples = number.shape[0] // rows
@@ -277,9 +272,9 @@ def paint(faces, place, number, image):  # type: ignore[no-untyped-def]
             for position in range(different):
                 k = found[position]
                 if k < 0:
-                    dr, dg, db = _surroundings_at(place.surroundings, _mapped(place.to_world, x, y))
+                    dr, dg, db = _surroundings_at(world.surroundings, _mapped(place.to_world, x, y))
                 else:
-                    dr, dg, db = _face_colour(faces, place, k, x, y)
+                    dr, dg, db = _face_colour(world, faces, place, k, x, y)
                 part = count[position] / (samples * samples)
                 r, g, b = r + part * dr, g + part * dg, b + part * db
             for channel, value in enumerate((r, g, b)):

@@ -1,7 +1,6 @@
 """A camera's view of a world: how it is lit, its image and its exact depth."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from epiprior_lab.scenes import raster
 from epiprior_lab.scenes.world import BOTH_VIEWS, Image, World
 
 _NEAR = 0.05
+_SAMPLES = 2  # per pixel along each axis, for the rims of faces; textures are filtered in any case
 _MAP_SIDE = 1280
 _SUN_DISTANCE_M = 400.0
 _REACH_M = 32.0
@@ -25,14 +25,6 @@ class Light:
     ambient: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Shadows:
-    """Distance of the lit surface from the sun, (N, N), metres; `projection`, (3, 4), takes the world to its pixels."""
-
-    projection: FloatArray
-    depth: Float32Array
-
-
 def draw_light(rng: np.random.Generator) -> Light:
     """Draw sunshine, or in a quarter of the cases an overcast sky."""
     direction = np.array([rng.uniform(-1.0, 1.0), -rng.uniform(0.45, 1.3), -rng.uniform(0.25, 1.0)])
@@ -43,37 +35,36 @@ def draw_light(rng: np.random.Generator) -> Light:
 
 def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Float32Array:
     """Return the depth of the nearest face at each pixel's centre, (height, width); inf where there is none."""
-    inverse_depth, _ = _nearest(camera, _faces(world, camera, view, None), 1)
+    inverse_depth, _ = _nearest(world, camera, _faces(world, camera, view, None), 1)
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / inverse_depth, dtype=np.float32)
 
 
-def render_image(
-    world: World, camera: Camera, light: Light, shadows: Shadows, *, view: int = BOTH_VIEWS, samples: int = 2
-) -> Image:
+def render_image(world: World, camera: Camera, light: Light, *, view: int = BOTH_VIEWS) -> Image:
     """Return a camera's image (height, width, 3), RGB, of the faces of `view`, without effects of lens or sensor.
 
-    `samples` per pixel along each axis serve the rims of faces; textures are filtered in any case.
+    Shadows fall within about 30 m of the origin.
     """
     faces = _faces(world, camera, view, light)
-    _, number = _nearest(camera, faces, samples)
-    to_world = camera.R.T @ np.linalg.inv(camera.K)
-    place = raster.Place(to_world, camera.centre, world.surroundings, shadows.projection, shadows.depth)
+    _, number = _nearest(world, camera, faces, _SAMPLES)
+    to_world, sun = camera.R.T @ np.linalg.inv(camera.K), _sun_camera(light)
+    projection = np.column_stack([sun.K @ sun.R, sun.K @ sun.t])
+    place = raster.Place(to_world, camera.centre, projection, render_depth(world, sun, view=view))
     image = np.empty((camera.height, camera.width, 3), dtype=np.uint8)
-    raster.paint(faces, place, number, image)
+    raster.paint(world, faces, place, number, image)
     return image
 
 
-def _nearest(camera: Camera, faces: raster.Faces, samples: int) -> tuple[Float32Array, NDArray[np.int32]]:
-    """Return inverse depth and the number of the nearest face at each sample."""
+def _nearest(world: World, camera: Camera, faces: raster.Faces, samples: int) -> tuple[Float32Array, NDArray[np.int32]]:
+    """Return inverse depth and the number among `faces` of the nearest face at each sample, `samples` per axis."""
     shape = camera.height * samples, camera.width * samples
     inverse_depth, number = np.zeros(shape, dtype=np.float32), np.full(shape, -1, dtype=np.int32)
-    raster.nearest_faces(faces, samples, inverse_depth, number)
+    raster.nearest_faces(world, faces, samples, inverse_depth, number)
     return inverse_depth, number
 
 
 def _faces(world: World, camera: Camera, view: int, light: Light | None) -> raster.Faces:
-    """Return the faces in view, the maps from pixels to places on them, and where they fall in the image."""
+    """Return the faces in view; without light they are black."""
     corner = world.corner @ camera.R.T + camera.t
     across, down = world.across @ camera.R.T, world.down @ camera.R.T
     last = np.where(world.triangle[:, None] == 1, corner + down, corner + across + down)
@@ -94,10 +85,7 @@ def _faces(world: World, camera: Camera, view: int, light: Light | None) -> rast
         by_sun = (1.0 - light.ambient) * np.maximum(normal @ light.to_sun, 0.0)
         factor = world.brightness[index]
         brightness = np.column_stack([factor * light.ambient, factor * by_sun])
-    own: list[Any] = [np.linalg.inv(M[index]), bounds[index], normal, brightness]
-    columns = (world.texture_frame, world.texture, world.triangle, world.cut_out, world.mirror)
-    own += [*(column[index] for column in columns), world.levels, world.texels]
-    return raster.Faces(*own)
+    return raster.Faces(index, np.asarray(np.linalg.inv(M[index])), bounds[index], normal, brightness)
 
 
 def _bounds(polygons: FloatArray, camera: Camera) -> FloatArray:
@@ -117,15 +105,12 @@ def _bounds(polygons: FloatArray, camera: Camera) -> FloatArray:
     return np.concatenate([np.maximum(low, -1e6), np.minimum(high, 1e6)], axis=1)
 
 
-def cast_shadows(world: World, light: Light, middle: FloatArray, *, view: int) -> Shadows:
-    """Return what a sun 400 m away sees within about 30 m of `middle`."""
-    eye = middle + _SUN_DISTANCE_M * light.to_sun
+def _sun_camera(light: Light) -> Camera:
+    """Return a camera in the sun, 400 m away, that sees what is within about 30 m of the origin."""
     forward = -light.to_sun
     right = np.cross(np.array([0.0, 1.0, 0.0]), forward)
     right /= np.linalg.norm(right)
     R = np.stack([right, np.cross(forward, right), forward])
     focal, centre = 0.5 * _MAP_SIDE * _SUN_DISTANCE_M / _REACH_M, (_MAP_SIDE - 1) / 2
     K = np.array([[focal, 0.0, centre], [0.0, focal, centre], [0.0, 0.0, 1.0]])
-    sun = Camera(K=K, R=R, t=-R @ eye, width=_MAP_SIDE, height=_MAP_SIDE)
-    projection = np.column_stack([K @ sun.R, K @ sun.t])
-    return Shadows(projection=projection, depth=render_depth(world, sun, view=view))
+    return Camera(K=K, R=R, t=-R @ (_SUN_DISTANCE_M * light.to_sun), width=_MAP_SIDE, height=_MAP_SIDE)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -26,8 +26,7 @@ WHOLE = (0.0, 0.0, 1.0, 1.0)
 _MIN_LEVEL_SIDE = 2
 
 
-@dataclass(frozen=True)
-class World:
+class World(NamedTuple):
     """N faces and T textures in flat arrays, ready to be drawn.
 
     `corner`, `across`, `down` (N, 3) are a corner of each face and its two edges from there; `texture_frame` (N, 3, 2)

@@ -47,12 +47,9 @@ def render(*, pair_id: str, family: str, seed: int, width: int, height: int, jpe
         pair_id=pair_id,
         scene=pair_id,
         difficulty=f"{views};roll={seen.roll_deg:.0f}deg",
-        camera1=pair.camera1,
-        camera2=pair.camera2,
-        jpeg1=encode_jpeg(pair.image1, jpeg_quality),
-        jpeg2=encode_jpeg(pair.image2, jpeg_quality),
-        depth1=encode_depth(pair.depth1),
-        depth2=encode_depth(pair.depth2),
+        cameras=pair.cameras,
+        jpegs=(encode_jpeg(pair.images[0], jpeg_quality), encode_jpeg(pair.images[1], jpeg_quality)),
+        depths=(encode_depth(pair.depths[0]), encode_depth(pair.depths[1])),
     )
 
 

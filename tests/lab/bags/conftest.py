@@ -4,7 +4,7 @@ import pytest
 
 from bags_fakes import camera
 from collections_fakes import views
-from epiprior_lab.pairsets.files import CAMERA_COLUMNS, PAIR_COLUMNS, camera_row, write_table
+from epiprior_lab.pairsets.files import write_tables
 
 COUNT = 4
 
@@ -17,6 +17,5 @@ def side_by_side(tmp_path_factory):
     views(root / "images", COUNT)
     names = [f"images/{k}.png" for k in range(COUNT)]
     rows = [[f"p{k}", names[k], names[k + 1], "cameras", "wall", ""] for k in range(COUNT - 1)]
-    write_table(root / "pairs.csv", PAIR_COLUMNS, rows)
-    write_table(root / "cameras.csv", CAMERA_COLUMNS, [camera_row(name, camera(k)) for k, name in enumerate(names)])
+    write_tables(root, rows, {name: camera(k) for k, name in enumerate(names)})
     return root

@@ -253,17 +253,6 @@ def test_another_pairs_file_is_kept(session, images, tmp_path):
     calls.refused(LabelError, "another pair", LabelSession, *images, out)
 
 
-def test_the_pair_set_around_the_file_decides_whose_it_is(images, tmp_path):
-    out = tmp_path / "control_points"
-    out.mkdir()
-    rows = "p,a.png,b.png,control_points,s,\nq,b.png,a.png,control_points,s,\n"
-    (tmp_path / "pairs.csv").write_text(f"pair_id,image1,image2,gt,scene,difficulty\n{rows}")
-    for name in ("p", "new"):
-        LabelSession(*images, out / f"{name}.csv")
-    calls.refused(LabelError, r"pairs\.csv has b\.png and a\.png", LabelSession, *images, out / "q.csv")
-    assert LabelSession(*images, out / "q.csv", force=True).state()["points"] == []
-
-
 def test_a_damaged_record_points_outside_the_images_and_what_else_is_wrong_are_named(session, images, tmp_path):
     session.save(POINTS, "")
     for record in ("", "{}", '{"image1": 1, "image2": 2}', "[1, 2]"):

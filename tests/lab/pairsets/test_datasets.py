@@ -20,8 +20,8 @@ def files(pair_id="p", **changes):
     depth = np.full((HEIGHT, WIDTH), np.inf, np.float32)
     depth[50:] = np.linspace(2, 30, WIDTH, dtype=np.float32)
     values = {"pair_id": pair_id, "scene": f"scene of {pair_id}", "difficulty": "angle=3deg;overlap=0.5"}
-    values |= {"camera1": CAMERAS[0], "camera2": CAMERAS[1], "jpeg1": jpeg, "jpeg2": jpeg}
-    return PairFiles(**(values | {f"depth{side}": encode_depth(depth) for side in (1, 2)} | changes))
+    values |= {"cameras": CAMERAS, "jpegs": (jpeg, jpeg), "depths": 2 * (encode_depth(depth),)}
+    return PairFiles(**(values | changes))
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_what_is_written_is_read_back(root, tmp_path):
     assert (pair_set.name, [pair.pair_id for pair in pair_set.pairs]) == ("family", ["p", "q"])
     pair, wanted = pair_set.pairs[1], files("q")
     assert (pair.scene, pair.difficulty) == ("scene of q", "angle=3deg;overlap=0.5")
-    for got, want in ((pair.camera1, wanted.camera1), (pair.camera2, wanted.camera2)):
+    for got, want in zip((pair.camera1, pair.camera2), wanted.cameras, strict=True):
         np.testing.assert_array_equal(np.column_stack([got.K, got.R, got.t]), np.column_stack([want.K, want.R, want.t]))
         assert (got.width, got.height) == (WIDTH, HEIGHT)
     depth1, _ = pair.depths()

@@ -14,9 +14,12 @@ from epiprior.errors import EpipriorError, ImageError, OutputError
 from epiprior.geometry import normalise_fundamental, sampson_distance
 from epiprior_lab.cli import app
 from epiprior_lab.labels.ground_truth import label_matches, reference_fundamental
-from epiprior_lab.pairsets import DatasetError, fundamental_from_cameras, importers, known_sets, read_pair_set, transfer
+from epiprior_lab.pairsets import DatasetError, fundamental_from_cameras, known_sets, read_pair_set, transfer
 from epiprior_lab.pairsets.changed import shrinking
-from epiprior_lab.pairsets.importers import find_match_files, find_pairs, find_sequences, find_usac, write_found
+from epiprior_lab.pairsets.importers.match_files import find_match_files
+from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, write_found
+from epiprior_lab.pairsets.importers.pair_list import find_pairs, find_usac
+from epiprior_lab.pairsets.importers.sequences import find_sequences
 from epiprior_lab.pairsets.importers.sources import read_rows
 from pictures import save, texture
 from worlds import CAMERAS, HEIGHT, WIDTH
@@ -179,7 +182,7 @@ def test_damage_of_homographies_is_named(tmp_path):
         refused(DatasetError, message, find_sequences, name, tmp_path)
 
 
-def test_usac_needs_points_by_hand_or_is_fitted_and_its_damage_is_named(tmp_path):
+def test_usac_needs_points_by_hand_and_its_damage_is_named(tmp_path):
     usac = tmp_path / "fundmatrix"
     for name in ("im1.jpg", "im2.jpg"):
         picture(usac / "test1" / name)
@@ -193,13 +196,9 @@ def test_usac_needs_points_by_hand_or_is_fitted_and_its_damage_is_named(tmp_path
     (pair,) = written(tmp_path / "set", find_usac(usac, points=tmp_path / "points"))
     assert pair.difficulty == "points by hand; 80 matches"
     assert_points(pair, x1, x2)
-    (pair,) = find_usac(usac, fit=True)
-    assert pair.difficulty.startswith("fitted")
-    assert 55 <= len(pair.points[0]) <= 66
-    assert np.median(sampson_distance(fundamental_from_cameras(*CAMERAS), *pair.points)) < 0.01
     path = usac / "test1/orig_pts.txt"
     path.write_text(path.read_text().replace("80\n", "81\n", 1))
-    refused(DatasetError, r"orig_pts\.txt: line 1 announces 81 rows, there are 80", find_usac, usac, fit=True)
+    refused(DatasetError, r"orig_pts\.txt: line 1 announces 81 rows, there are 80", find_usac, usac)
     (usac / "test1/im2.jpg").unlink()
     refused(DatasetError, r"orig_pts\.txt: no image .*im2\.jpg", find_usac, usac)
 
@@ -285,8 +284,8 @@ def test_smaller_images_take_everything_with_them(tmp_path):
     (x1, x2), F = matches(), fundamental_from_cameras(*CAMERAS)
     grow = shrinking((320, 240), (640, 480))
     points, matrix = (transfer(grow, x1), x2), F @ np.linalg.inv(grow)
-    photographs = {name: importers.Photograph(name=path.stem, path=path) for name, path in images.items()}
-    pair = importers.FoundPair(pair_id="p", scene="s", **photographs, points=points, fundamental=matrix)
+    photographs = {name: Photograph(name=path.stem, path=path) for name, path in images.items()}
+    pair = FoundPair(pair_id="p", scene="s", **photographs, points=points, fundamental=matrix)
     (got,) = written(tmp_path / "set", [pair], max_side=320)
     assert got.sizes() == ((320, 240), (320, 240))
     assert_points(got, x1, x2)
@@ -298,8 +297,8 @@ def test_a_pair_set_is_not_overwritten_and_all_is_checked_before_anything_is_wri
     refused(OutputError, "exists already", write_found, kusvod2, [pair])
     refused(DatasetError, "no pair was found", write_found, tmp_path / "none", [])
     (tmp_path / "broken.png").write_bytes(pair.image1.path.read_bytes()[:60])
-    broken = importers.Photograph(name="broken", path=tmp_path / "broken.png")
-    same = {"pair_id": "other", "image1": importers.Photograph(name="shoutA", path=pair.image2.path)}
+    broken = Photograph(name="broken", path=tmp_path / "broken.png")
+    same = {"pair_id": "other", "image1": Photograph(name="shoutA", path=pair.image2.path)}
     for change, kind, message in (
         (same, DatasetError, r"shoutA\.png and .*shoutB\.png would both become images/shoutA"),
         ({"image2": broken}, ImageError, r"broken\.png: not an image"),

@@ -13,13 +13,16 @@ import pytest
 from epiprior.errors import ImageError, SettingsError
 from epiprior.geometry import sampson_distance
 from epiprior_lab.pairsets import Camera, DatasetError, fundamental_from_cameras, read_pair_set, reproject
-from epiprior_lab.pairsets.importers import PairChoice, find_colmap, find_photos, find_strecha, write_found
-from epiprior_lab.pairsets.importers.strecha import read_camera
+from epiprior_lab.pairsets.importers.colmap import find_colmap
+from epiprior_lab.pairsets.importers.output import write_found
+from epiprior_lab.pairsets.importers.photos import find_photos
+from epiprior_lab.pairsets.importers.strecha import find_strecha, read_camera
+from epiprior_lab.pairsets.importers.structure import PairChoice
 from epiprior_lab.scenes.camera_pairs import look_at
 from epiprior_lab.scenes.render import render_image
 from epiprior_lab.scenes.world import Frame, WorldBuilder, box
 from pictures import save, texture
-from worlds import OVERCAST_FROM_ASIDE, coloured, no_shadows
+from worlds import OVERCAST_FROM_ASIDE, coloured
 
 EVERY, MOST = (PairChoice(min_angle_deg=low, max_angle_deg=180 - low) for low in (1, 5))
 
@@ -126,9 +129,9 @@ def test_damage_of_a_model_is_named(workspace, model, name):
     rows = path.read_text().splitlines()
     first = next(index for index, row in enumerate(rows) if not row.startswith("#"))
     values = rows[first].split()
-    for row, message in ((" ".join([*values[:3], "wide", *values[4:]]), "'wide' is no number"), ("1 2", "2 values")):
+    for row in (" ".join([*values[:3], "wide", *values[4:]]), "1 2"):
         path.write_text("\n".join([*rows[:first], row, *rows[first + 1 :]]) + "\n")
-        refused(find_colmap, model / "text", rf"{name}\.txt, line {first + 1}: {message}", **own)
+        refused(find_colmap, model / "text", "text: damaged COLMAP model", **own)
 
 
 def test_what_is_missing_and_names_that_a_colmap_model_cannot_hold_are_named(workspace, tmp_path, model):
@@ -140,12 +143,12 @@ def test_what_is_missing_and_names_that_a_colmap_model_cannot_hold_are_named(wor
     with pytest.raises(DatasetError, match=r"is 100 x 80, its camera in the model 320 x 240"):
         write_found(tmp_path / "set", find_colmap(workspace, images=tmp_path, choice=EVERY))
     for file, new, message in (
-        ("text/images.txt", b"Photo 1 of 4", r"line \d+: COLMAP's text holds no name with a blank: 'Photo"),
-        ("binary/images.bin", b"caf\xe9ra000001_frame000001", r"image \d: pycolmap reads no name that is not UTF-8"),
+        ("text/images.txt", b"Photo 1 of 4", "no image .*Photo, which the model names"),
+        ("binary/images.bin", b"caf\xe9ra000001_frame000001", r"images\.bin: image \d: .* no name that is not UTF-8"),
     ):
         path = model / file
         path.write_bytes(path.read_bytes().replace(b"camera000001_frame000001", new))
-        with pytest.raises(DatasetError, match=rf"{path.name}[,:] {message}"):
+        with pytest.raises(DatasetError, match=message):
             find_colmap(path.parent, images=workspace / "images")
 
 
@@ -172,7 +175,7 @@ def photographs(tmp_path_factory):
     box(builder, Frame.facing((-1.5, 2.0, -2.0), 0.0), (0.0, 3.0), (0.0, 2.5), (-1.5, 0.0), textures=crate)
     world = builder.build()
     for number, camera in enumerate(scene_cameras()):
-        save(folder / "v.png", render_image(world, camera, OVERCAST_FROM_ASIDE, no_shadows(world)))
+        save(folder / "v.png", render_image(world, camera, OVERCAST_FROM_ASIDE))
         (folder / "v.png").rename(folder / f"{photograph_name(number)}.png")
     return folder
 

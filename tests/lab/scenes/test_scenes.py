@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from epiprior.errors import ImageError, SettingsError
+from epiprior.errors import SettingsError
 from epiprior_lab import pairsets
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.compute.tasks import Task, map_tasks
@@ -15,11 +15,10 @@ from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import Camera, encode_depth, fundamental_from_cameras, read_pair_set, reproject
 from epiprior_lab.scenes import FAMILIES, SceneError, pairs, render_pair, textures
 from epiprior_lab.scenes.camera_pairs import look_at
-from epiprior_lab.scenes.photography import encode_jpeg
-from epiprior_lab.scenes.render import Light, cast_shadows, render_depth, render_image
-from epiprior_lab.scenes.world import BOTH_VIEWS, FIRST_VIEW, SECOND_VIEW, Frame, WorldBuilder, upright
+from epiprior_lab.scenes.render import Light, render_depth, render_image
+from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Frame, WorldBuilder, upright
 from epiprior_lab.stages.render import render, render_solvable
-from worlds import HEIGHT, OVERCAST_FROM_ASIDE, WIDTH, camera_at, coloured, no_shadows, room
+from worlds import HEIGHT, OVERCAST_FROM_ASIDE, WIDTH, camera_at, room
 
 SMALL = {"width": 256, "height": 192}
 
@@ -39,9 +38,8 @@ def plane(builder, texture, z, side, **options):
     builder.face((-side / 2, -side / 2, z), (side, 0, 0), (0, side, 0), texture, **options)
 
 
-def picture(world, camera, light=OVERCAST_FROM_ASIDE, view=BOTH_VIEWS):
-    shadows = cast_shadows(world, light, np.array([0.0, 0.0, 5.0]), view=view)
-    return render_image(world, camera, light, shadows, view=view)
+def picture(world, camera, light=OVERCAST_FROM_ASIDE):
+    return render_image(world, camera, light)
 
 
 def test_depth_of_a_slanted_plane_is_the_analytic_one_and_nearer_faces_hide_farther_ones():
@@ -71,8 +69,7 @@ def test_depth_of_a_slanted_plane_is_the_analytic_one_and_nearer_faces_hide_fart
 
 def test_a_pixel_carried_over_by_its_depth_lands_on_the_same_colour():
     world, cameras = room(), (camera_at(-2.5), camera_at(3.0, roll_deg=20.0))
-    shadows = no_shadows(world)
-    first, second = (render_image(world, camera, OVERCAST_FROM_ASIDE, shadows) for camera in cameras)
+    first, second = (picture(world, camera) for camera in cameras)
     depths = [render_depth(world, camera).astype(np.float64) for camera in cameras]
     y, x = np.mgrid[0:HEIGHT:3, 0:WIDTH:3]
     x1 = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
@@ -149,7 +146,7 @@ def test_the_sun_casts_shadows_and_things_of_one_view_are_in_that_view_only():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_pairs_keep_the_bounds_of_their_family_and_have_the_detail_of_photographs(family):
     settings, pair = FAMILIES[family], render_pair(family, 3, **SMALL)
-    cameras, depths = (pair.camera1, pair.camera2), (pair.depth1, pair.depth2)
+    cameras, depths = pair.cameras, pair.depths
     x1, x2 = control_points_from_depth(cameras, depths, count=100, seed=0)
     assert len(x1) == 100
     assert errors_px(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-6
@@ -160,7 +157,7 @@ def test_pairs_keep_the_bounds_of_their_family_and_have_the_detail_of_photograph
     roll = min(seen.roll_deg, 360 - seen.roll_deg)
     assert (roll > 10) if family == "rolled" else (roll < 35)
     pair = render_pair(family, 5, width=512, height=384)
-    for image in (pair.image1, pair.image2):
+    for image in pair.images:
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         assert 15 < grey.std() < 90
         assert len(cv2.SIFT_create().detect(grey)) > 250
@@ -172,9 +169,9 @@ def test_equal_seeds_give_equal_bytes_and_others_do_not_whatever_the_number_of_w
     tasks = [Task(name=f"p{k}", payload={"pair_id": f"p{k}", "seed": k % 2, **payload}) for k in range(3)]
     one, two = (map_tasks(render, tasks[: 4 - n], workers=n, description="render") for n in (1, 2))
     for a, b in [*zip(one[:2], two, strict=True), (one[0], one[2])]:
-        assert (a.jpeg1, a.jpeg2, a.depth1, a.depth2) == (b.jpeg1, b.jpeg2, b.depth1, b.depth2)
-        np.testing.assert_array_equal(a.camera2.t, b.camera2.t)
-    assert len({one[0].jpeg1, one[0].jpeg2, one[1].jpeg1}) == 3
+        assert (a.jpegs, a.depths) == (b.jpegs, b.depths)
+        np.testing.assert_array_equal(a.cameras[1].t, b.cameras[1].t)
+    assert len({*one[0].jpegs, *one[1].jpegs}) == 4
 
 
 @pytest.mark.slow
@@ -186,8 +183,8 @@ def test_a_pair_with_too_few_right_matches_is_drawn_anew(monkeypatch):
     how = {"seed": 5, "labels": LabelSettings(), **drawn}
     chosen, third = render_solvable(least_right=15, **how), render(seed=child_seed(5, "2"), **drawn)
     assert next(found) == 99  # the third draw was taken
-    assert (chosen.pair_id, chosen.jpeg1, chosen.depth2) == ("p", third.jpeg1, third.depth2)
-    assert render_solvable(least_right=0, **how).jpeg1 == render(seed=5, **drawn).jpeg1
+    assert (chosen.pair_id, chosen.jpegs, chosen.depths) == ("p", third.jpegs, third.depths)
+    assert render_solvable(least_right=0, **how).jpegs == render(seed=5, **drawn).jpegs
     with pytest.raises(SceneError, match="none of 4 draws has 15 right"):
         render_solvable(least_right=15, **how)
 
@@ -209,28 +206,18 @@ def test_right_matches_are_counted_by_depth(tmp_path):
 def test_scenes_without_two_views_are_an_error_that_names_the_seed(monkeypatch):
     monkeypatch.setattr(pairs, "_WORLDS", 1)
     impossible = dataclasses.replace(FAMILIES["open"], overlap=(0.999, 1.0), angle_deg=(80, 90))
+    monkeypatch.setattr(pairs, "FAMILIES", {"open": impossible})
     with pytest.raises(SceneError, match=r"'open', seed 4"):
-        render_pair("open", 4, settings=impossible, **SMALL)
+        render_pair("open", 4, **SMALL)
 
 
-def test_photographs_are_in_the_installed_packages_and_bad_arguments_are_refused(monkeypatch):
+def test_photographs_are_in_the_installed_packages_and_an_unknown_family_is_refused():
     for name in textures._FILES:
         image = textures.photograph(name)
         assert (image.ndim, image.dtype) == (3, np.uint8)
     assert {*textures.PICTURES, *textures.SURFACES} <= textures._FILES.keys()
-    monkeypatch.setitem(textures._FILES, "unicorn", ("skimage.data", "unicorn.png"))
-    for call, error, message in (
-        (lambda: render_pair("closed", 0), SettingsError, "'closed'"),
-        (lambda: render_pair("open", 0, width=32, height=192), SettingsError, "32 x 192"),
-        (lambda: encode_jpeg(coloured(0), 0), SettingsError, "jpeg_quality = 0"),
-        (lambda: textures.photograph("unicorn"), ImageError, r"unicorn\.png"),
-    ):
-        with pytest.raises(error, match=message):
-            call()
-    bad = {"overlap": (0.5, 1.2), "angle_deg": (20, 10), "scale_ratio": (0.5, 2), "facades": 1.5, "relit": np.nan}
-    for name, value in bad.items():
-        with pytest.raises(SettingsError, match=name):
-            dataclasses.replace(FAMILIES["open"], **{name: value})
+    with pytest.raises(SettingsError, match="'closed'"):
+        render_pair("closed", 0)
 
 
 @pytest.mark.parametrize("grain", ["fine", "middle", "coarse"])

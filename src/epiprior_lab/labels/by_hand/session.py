@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import threading
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from epiprior.errors import EpipriorError, ImageError, OutputError
+from epiprior.errors import EpipriorError, ImageError
 from epiprior.features.images import read_image
 from epiprior.io.output import check_output, replacing
 from epiprior.types import FloatArray
 from epiprior_lab.labels.by_hand.fit import MIN_JUDGED, fit_pairs
 from epiprior_lab.pairsets import DatasetError, write_control_points
-from epiprior_lab.pairsets.files import PAIR_COLUMNS, read_control_points, read_table
+from epiprior_lab.pairsets.files import read_control_points
 
 MOST_PAIRS = 5_000
 _CLICK_PER_SIDE = 1e-3  # a hand is right within a pixel of a photograph of 1,000
@@ -65,9 +64,6 @@ class LabelSession:
         self.out = out
         self._target = out.resolve()  # through a link: its end is replaced, not the link
         check_output(self._target, (".csv",))
-        writable = self._target if self._target.exists() else self._target.parent
-        if not os.access(writable, os.W_OK) or not os.access(self._target.parent, os.W_OK):
-            raise OutputError(f"{out}: no permission to write it")
         self._lock = threading.Lock()
         self._anew = False
         try:
@@ -81,9 +77,8 @@ class LabelSession:
     @property
     def click_px(self) -> float:
         """How precisely a hand clicks in images of this size, pixels."""
-        return float(
-            max(1.0, *(_CLICK_PER_SIDE * side for image in self.images for side in (image.width, image.height)))
-        )
+        longest = max(float(side) for image in self.images for side in (image.width, image.height))
+        return max(1.0, _CLICK_PER_SIDE * longest)
 
     def count(self) -> int | None:
         """Return how many points this session's file holds; None where nothing was saved."""
@@ -170,12 +165,8 @@ class LabelSession:
                 )
 
     def _check_owner(self) -> None:
-        """Raise LabelError where the file, its record or the pair set around it name other images."""
+        """Raise LabelError where the record of the file names other images."""
         hint = "; --force starts it anew"
-        row = _row_of_pair_set(self._target)
-        own = [image.path.resolve() for image in self.images]
-        if row is not None and row != own:
-            raise LabelError(f"{self.out}: pairs.csv has {row[0].name} and {row[1].name} for this name{hint}")
         if not self._target.exists() or not self._record.exists():
             return
         try:
@@ -189,17 +180,6 @@ class LabelSession:
             raise LabelError(f"{self.out}: belongs to these images the other way round: {names[0]}, then {names[1]}")
         if hashes != expected:
             raise LabelError(f"{self.out}: belongs to another pair, {names[0]} and {names[1]}{hint}")
-
-
-def _row_of_pair_set(out: Path) -> list[Path] | None:
-    """Return the images that a pair set has for the control points `out`; None where `out` is in no pair set."""
-    root = out.parent.parent
-    if out.parent.name != "control_points" or not (root / "pairs.csv").is_file():
-        return None
-    for _, row in read_table(root / "pairs.csv", PAIR_COLUMNS):
-        if row["pair_id"] == out.stem:
-            return [(root / row[name]).resolve() for name in ("image1", "image2")]
-    return None
 
 
 def _is_finite(value: Any) -> bool:

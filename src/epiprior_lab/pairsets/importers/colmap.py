@@ -1,23 +1,20 @@
 """COLMAP models: undistorted photographs with cameras, pairs by viewing angle, control points from tracks."""
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from epiprior_lab.pairsets import DatasetError
-from epiprior_lab.pairsets.files import number, read_text
 from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of
 from epiprior_lab.pairsets.importers.sources import need_folder
-from epiprior_lab.pairsets.importers.structure import PairChoice, pairs_of_models
+from epiprior_lab.pairsets.importers.structure import DEFAULT_CHOICE, PairChoice, pairs_of_models
 
 _NAMES = ("cameras", "images", "points3D")
 
 
 def find_colmap(
-    folder: Path, *, images: Path | None = None, scene: str | None = None, choice: PairChoice | None = None
+    folder: Path, *, images: Path | None = None, scene: str | None = None, choice: PairChoice = DEFAULT_CHOICE
 ) -> list[FoundPair]:
     """Return pairs of a COLMAP model, or of each model of a workspace, a scene of its own.
 
@@ -25,7 +22,6 @@ def find_colmap(
     or ``sparse/0``, ``sparse/1``, ...; `images` is by default ``images`` in it or in one of the two folders above;
     `scene` is by default the workspace's name. DatasetError for no pair, a missing model or photograph, or a bad file.
     """
-    choice = choice or PairChoice()
     models = _models(need_folder(folder))
     images = need_folder(images or _images_near(folder))
     pairs, _ = pairs_of_models(
@@ -59,35 +55,23 @@ def _images_near(folder: Path) -> Path:
 
 
 def _read(model: Path) -> Any:
+    """Return the reconstruction of a model; DatasetError if a file is damaged."""
     import pycolmap
 
-    _check_model(model)
+    if (model / "cameras.bin").is_file():
+        for name, after in zip(_NAMES, (_after_camera, _after_image, _after_point), strict=True):
+            _check_binary(model / f"{name}.bin", after)
     try:
-        reconstruction = pycolmap.Reconstruction(model)
+        return pycolmap.Reconstruction(model)
     except (ValueError, IndexError, MemoryError, RuntimeError) as error:
         raise DatasetError(f"{model}: damaged COLMAP model: {error}") from error
-    for camera in reconstruction.cameras.values():
-        if camera.width <= 0 or camera.height <= 0 or not np.isfinite(camera.params).all():
-            raise DatasetError(f"{model}: camera {camera.camera_id} has an impossible size or parameters")
-    return reconstruction
-
-
-def _check_model(folder: Path) -> None:
-    """Walk through the files of a model, binary if they are there, else text.
-
-    pycolmap ends the process on a file that is cut off, or reads it without an error. DatasetError if a file ends too
-    early or late, a line of text has too few or wrong values, or COLMAP cannot hold the name of an image.
-    """
-    if (folder / "cameras.bin").is_file():
-        for name, after in zip(_NAMES, (_after_camera, _after_image, _after_point), strict=True):
-            _check_binary(folder / f"{name}.bin", after)
-        return
-    # Values per line, at least: id, model, width, height, parameters; id, pose, camera, name; id, point, colour, error.
-    for name, least, numeric in (("cameras", 5, (0, 2, 3)), ("images", 10, range(9)), ("points3D", 8, range(8))):
-        _check_text(folder / f"{name}.txt", least, numeric, images=name == "images")
 
 
 def _check_binary(path: Path, after: Callable[[bytes, int], int]) -> None:
+    """Walk through a file: pycolmap reads one that is cut off without an error, or never ends.
+
+    DatasetError if it ends too early or late, or pycolmap cannot hold the name of an image.
+    """
     done = 0
     try:
         data = path.read_bytes()
@@ -97,8 +81,6 @@ def _check_binary(path: Path, after: Callable[[bytes, int], int]) -> None:
             if at > len(data):
                 raise struct.error
             done += 1
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise DatasetError(f"{path}: image {done + 1}: pycolmap reads no name that is not UTF-8: {error}") from error
     except (struct.error, ValueError) as error:
@@ -125,21 +107,3 @@ def _after_image(data: bytes, at: int) -> int:
 def _after_point(data: bytes, at: int) -> int:
     """Return where the entry ends: id, position, colour and error, length of the track and track."""
     return at + 51 + 8 * int(struct.unpack_from("<Q", data, at + 43)[0])
-
-
-def _check_text(path: Path, least: int, numeric: Iterable[int], *, images: bool) -> None:
-    rows = [(line, text) for line, text in enumerate(read_text(path).splitlines(), 1) if not text.startswith("#")]
-    if images:
-        # Two lines per photograph, the second without points is empty; blank lines before the first do not count.
-        first = next((index for index, (_, text) in enumerate(rows) if text.strip()), 0)
-        rows = rows[first::2]
-    for line, text in rows:
-        values = text.split()
-        if values and len(values) < least:
-            raise DatasetError(f"{path}, line {line}: {len(values)} values, expected {least} or more")
-        if images and len(values) > least:
-            name = " ".join(values[least - 1 :])
-            raise DatasetError(f"{path}, line {line}: COLMAP's text holds no name with a blank: {name!r}; take .bin")
-        for index in numeric if values else ():
-            if np.isnan(number(values[index])):
-                raise DatasetError(f"{path}, line {line}: {values[index]!r} is no number")

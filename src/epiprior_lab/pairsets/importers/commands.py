@@ -41,7 +41,8 @@ def colmap(
     max_side: MaxSide = 1280,
 ) -> None:
     """COLMAP models: undistorted, pairs by viewing angle and common points, control points from tracks."""
-    from epiprior_lab.pairsets.importers import PairChoice, find_colmap
+    from epiprior_lab.pairsets.importers.colmap import find_colmap
+    from epiprior_lab.pairsets.importers.structure import PairChoice
 
     choice = PairChoice(min_angle_deg=min_angle, max_angle_deg=max_angle, min_shared=min_shared, max_pairs=max_pairs)
     _import(out, max_side, lambda: find_colmap(path, images=images, scene=scene, choice=choice))
@@ -59,7 +60,8 @@ def strecha(
     max_side: MaxSide = 1280,
 ) -> None:
     """Strecha's multi-view sets: photographs with *.camera files."""
-    from epiprior_lab.pairsets.importers import PairChoice, find_strecha
+    from epiprior_lab.pairsets.importers.strecha import find_strecha
+    from epiprior_lab.pairsets.importers.structure import PairChoice
 
     choice = PairChoice(min_angle_deg=min_angle, max_angle_deg=max_angle, min_shared=min_shared, max_pairs=max_pairs)
     _import(out, max_side, lambda: find_strecha(path, images=images, choice=choice))
@@ -77,7 +79,8 @@ def photos(
     max_side: MaxSide = 1280,
 ) -> None:
     """Your own photographs: structure from motion gives cameras, control points and pairs."""
-    from epiprior_lab.pairsets.importers import PairChoice, find_photos
+    from epiprior_lab.pairsets.importers.photos import find_photos
+    from epiprior_lab.pairsets.importers.structure import PairChoice
 
     choice = PairChoice(min_angle_deg=min_angle, max_angle_deg=max_angle, min_shared=min_shared, max_pairs=max_pairs)
     _import(out, max_side, lambda: find_photos(path, scene=scene, choice=choice))
@@ -86,7 +89,7 @@ def photos(
 def _match_files(name: str, text: str) -> None:
     @app.command(name, help=text)
     def command(path: PathArgument, out: Out, origin: Origin = 0.0, max_side: MaxSide = 1280) -> None:
-        from epiprior_lab.pairsets.importers import find_match_files
+        from epiprior_lab.pairsets.importers.match_files import find_match_files
 
         _import(out, max_side, lambda: find_match_files(name, path, origin=origin))
 
@@ -98,7 +101,7 @@ _match_files("adelaidermf", "AdelaideRMF: .mat files, or labelled text name_pts.
 def _sequences(name: str, text: str) -> None:
     @app.command(name, help=text)
     def command(path: PathArgument, out: Out, max_side: MaxSide = 1280) -> None:
-        from epiprior_lab.pairsets.importers import find_sequences
+        from epiprior_lab.pairsets.importers.sequences import find_sequences
 
         _import(out, max_side, lambda: find_sequences(name, path))
 
@@ -112,15 +115,12 @@ def usac(
     path: PathArgument,
     out: Out,
     points: Annotated[Path | None, typer.Option(help="Folder of control points by hand, a file per pair.")] = None,
-    fit: Annotated[
-        bool, typer.Option("--fit", help="Without points by hand: what fits the release's matches.")
-    ] = False,
     max_side: MaxSide = 1280,
 ) -> None:
     """USAC release: folders with im1.jpg, im2.jpg and orig_pts.txt."""
-    from epiprior_lab.pairsets.importers import find_usac
+    from epiprior_lab.pairsets.importers.pair_list import find_usac
 
-    _import(out, max_side, lambda: find_usac(path, points=points, fit=fit))
+    _import(out, max_side, lambda: find_usac(path, points=points))
 
 
 @app.command()
@@ -134,7 +134,7 @@ def pairs(
     max_side: MaxSide = 1280,
 ) -> None:
     """List of pairs with control points, homographies or fundamental matrices as text."""
-    from epiprior_lab.pairsets.importers import find_pairs
+    from epiprior_lab.pairsets.importers.pair_list import find_pairs
 
     _import(out, max_side, lambda: find_pairs(path, images=images, truths=truths, origin=origin, known=known))
 
@@ -172,7 +172,7 @@ def register(lab: typer.Typer) -> None:
 
 
 def _import(out: Path, max_side: int, find: Callable[[], list[FoundPair]]) -> None:
-    from epiprior_lab.pairsets.importers import check_out, write_found
+    from epiprior_lab.pairsets.importers.output import check_out, write_found
 
     check_out(out)
     typer.echo(f"{typer.format_filename(out)}: {_counted(write_found(out, find(), max_side=max_side))}")

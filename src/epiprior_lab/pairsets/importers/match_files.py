@@ -91,15 +91,12 @@ def _pair(path: Path, name: str, found: _Matches, origin: float) -> FoundPair:
         difficulty = f"{right.sum()} labelled matches, {planes} {'plane' if planes == 1 else 'planes'}"
         if _on_one_plane(x1, x2).mean() > _ON_A_PLANE:
             difficulty += "; all on one plane: they decide no F"
+    names = name + "A", name + "B"
     if pixels is None:
-        image1, image2 = (
-            Photograph(name=name + side, path=sources.image_of(path.parent, name + side, path)) for side in "AB"
-        )
+        image1, image2 = (Photograph(name=one, path=sources.image_of(path.parent, one, path)) for one in names)
     else:
-        image1, image2 = (
-            Photograph(name=name + side, path=path / side, develop=partial(np.copy, own))
-            for side, own in zip("AB", pixels, strict=True)
-        )
+        develop = (partial(np.copy, own) for own in pixels)
+        image1, image2 = (Photograph(name=one, path=path / one, develop=next(develop)) for one in names)
     points = np.ascontiguousarray(x1 - origin), np.ascontiguousarray(x2 - origin)
     return FoundPair(pair_id=name, scene=name, image1=image1, image2=image2, difficulty=difficulty, points=points)
 

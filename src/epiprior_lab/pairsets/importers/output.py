@@ -45,13 +45,8 @@ def as_text(name: str) -> str:
 @contextlib.contextmanager
 def progress_bar(description: str, total: int) -> Iterator[Callable[[], None]]:
     """Yield a function that advances a bar on a terminal; elsewhere a line is printed when the work is done."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda: None
-        console.print(f"{description}: {total}", highlight=False)
-        return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
+    with Progress(*columns, console=Console(stderr=True)) as progress:
         bar = progress.add_task(description, total=total)
         yield lambda: progress.advance(bar)
 
@@ -159,8 +154,8 @@ def write_found(out: Path, pairs: Sequence[FoundPair], *, max_side: int = 1280) 
 
 
 def _write(root: Path, pairs: Sequence[FoundPair], max_side: int) -> None:
-    pair_rows: list[list[str]] = []
-    camera_rows: list[list[str]] = []
+    rows: list[list[str]] = []
+    cameras: dict[str, Camera] = {}
     written: dict[str, _Written] = {}
     with progress_bar("writing pairs", len(pairs)) as advance:
         for pair in pairs:
@@ -170,15 +165,12 @@ def _write(root: Path, pairs: Sequence[FoundPair], max_side: int) -> None:
                 new = written[photograph.name] = _write_image(root, photograph, max_side)
                 if photograph.camera is not None:
                     K, (width, height) = new.to_new @ photograph.camera.K, new.size
-                    scaled = replace(photograph.camera, K=K, width=width, height=height)
-                    camera_rows.append(files.camera_row(new.file, scaled))
+                    cameras[new.file] = replace(photograph.camera, K=K, width=width, height=height)
             image1, image2 = written[pair.image1.name], written[pair.image2.name]
             _write_truth(root, pair, image1, image2)
-            pair_rows.append([pair.pair_id, image1.file, image2.file, pair.gt, pair.scene, pair.difficulty])
+            rows.append([pair.pair_id, image1.file, image2.file, pair.gt, pair.scene, pair.difficulty])
             advance()
-    files.write_table(root / "pairs.csv", files.PAIR_COLUMNS, pair_rows)
-    if camera_rows:
-        files.write_table(root / "cameras.csv", files.CAMERA_COLUMNS, camera_rows)
+    files.write_tables(root, rows, cameras)
 
 
 def _write_image(root: Path, photograph: Photograph, max_side: int) -> _Written:

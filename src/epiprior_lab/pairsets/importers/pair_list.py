@@ -7,10 +7,8 @@ line ``x1 y1 x2 y2`` each. They are putative matches with many wrong ones, and n
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from epiprior.geometry import sampson_distance
 from epiprior.types import FloatArray
 from epiprior_lab.pairsets import DatasetError, KnownSet, known_sets
 from epiprior_lab.pairsets.files import read_control_points, read_matrix, read_table
@@ -19,8 +17,6 @@ from epiprior_lab.pairsets.importers.sources import files_of, read_rows, split_m
 
 TRUTHS = ("points", "homography", "fundamental")
 _USAC_MATCHES = "orig_pts.txt"
-_FIT_PX = 1.0
-_MOST_POINTS = 200
 
 
 def find_pairs(
@@ -94,12 +90,10 @@ def _points(files: dict[str, Path], origin: float) -> tuple[FloatArray, FloatArr
     return np.ascontiguousarray(x1 - origin), np.ascontiguousarray(x2 - origin)
 
 
-def find_usac(folder: Path, *, points: Path | None = None, fit: bool = False) -> list[FoundPair]:
+def find_usac(folder: Path, *, points: Path | None = None) -> list[FoundPair]:
     """Return the pairs of the USAC release in all folders below; the id of a pair is its folder's name.
 
-    Control points by hand are in the folder `points`, ``<pair_id>.csv``. Where there are none and `fit` is True, they
-    are the matches that agree with the F which OpenCV's MAGSAC++ fits to all; ``difficulty`` says "fitted": an
-    estimator made the ground truth, so such pairs must not decide between estimators. DatasetError if `fit` is False,
+    Control points by hand are in the folder `points`, ``<pair_id>.csv``. DatasetError if there are none for a pair,
     there is no pair, or a file is missing or damaged.
     """
     pairs = []
@@ -111,37 +105,14 @@ def find_usac(folder: Path, *, points: Path | None = None, fit: bool = False) ->
                 raise DatasetError(f"{path}: no image {image}")
         rows = read_rows(path, (4,))
         by_hand = (points or Path("POINTS")) / f"{pair_id}.csv"
-        if points is not None and by_hand.is_file():
-            known, difficulty = read_control_points(by_hand), "points by hand"
-        elif fit:
-            known, difficulty = _agreeing(path, rows), "fitted to the matches of the release"
-        else:
+        if points is None or not by_hand.is_file():
             raise DatasetError(
                 f"{path}: its matches are no ground truth. Mark points with `epiprior-lab label {images[0]} {images[1]}"
-                f" --out {by_hand}` and name their folder with --points, or let --fit derive them"
+                f" --out {by_hand}` and name their folder with --points"
             )
         one, two = (Photograph(name=f"{pair_id}_{k}", path=image) for k, image in enumerate(images, 1))
-        text = f"{difficulty}; {len(rows)} matches"
+        text, known = f"points by hand; {len(rows)} matches", read_control_points(by_hand)
         pairs.append(FoundPair(pair_id=pair_id, scene=pair_id, image1=one, image2=two, difficulty=text, points=known))
     if not pairs:
         raise DatasetError(f"{folder}: no {_USAC_MATCHES} in it or below")
     return pairs
-
-
-def _agreeing(path: Path, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return at most 200 matches within a pixel of the F that MAGSAC++ fits to all."""
-    x1, x2 = np.ascontiguousarray(rows[:, :2]), np.ascontiguousarray(rows[:, 2:])
-    found = None
-    if len(rows) >= 8:
-        parameters = cv2.UsacParams()
-        parameters.confidence, parameters.maxIterations, parameters.threshold = 0.9999, 100_000, 1.5
-        parameters.score, parameters.sampler = cv2.SCORE_METHOD_MAGSAC, cv2.SAMPLING_UNIFORM
-        parameters.loMethod, parameters.randomGeneratorState = cv2.LOCAL_OPTIM_SIGMA, 0
-        found = cv2.findFundamentalMat(x1, x2, parameters)[0]
-    if found is None or np.shape(found) != (3, 3):
-        raise DatasetError(f"{path}: no F can be fitted to its {len(rows)} matches")
-    near = np.flatnonzero(sampson_distance(np.asarray(found), x1, x2) < _FIT_PX)
-    if len(near) < 8:
-        raise DatasetError(f"{path}: only {len(near)} of {len(rows)} matches agree with the F fitted to them")
-    kept = near[np.unique(np.linspace(0, len(near) - 1, min(_MOST_POINTS, len(near))).astype(int))]
-    return x1[kept], x2[kept]

@@ -15,7 +15,7 @@ from epiprior.io.colmap import quiet
 from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, check_photographs, name_of, progress_bar
 from epiprior_lab.pairsets.importers.sources import SUFFIXES, files_of
-from epiprior_lab.pairsets.importers.structure import PairChoice, pairs_of_models
+from epiprior_lab.pairsets.importers.structure import DEFAULT_CHOICE, PairChoice, pairs_of_models
 
 logger = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ def mapping_options() -> Any:
     return options
 
 
-def find_photos(folder: Path, *, scene: str | None = None, choice: PairChoice | None = None) -> list[FoundPair]:
+def find_photos(folder: Path, *, scene: str | None = None, choice: PairChoice = DEFAULT_CHOICE) -> list[FoundPair]:
     """Return pairs of photographs whose cameras pycolmap can find.
 
     All pairs of photographs are matched, which suits up to some hundred of them. Photographs that do not fit together
@@ -110,7 +110,6 @@ def find_photos(folder: Path, *, scene: str | None = None, choice: PairChoice | 
     """
     import pycolmap
 
-    choice = choice or PairChoice()
     paths = (path for path in files_of(folder, "*") if path.suffix.lower() in SUFFIXES)
     photographs = [Photograph(name=name_of(path.name), path=path) for path in paths]
     if len(photographs) < _LEAST:

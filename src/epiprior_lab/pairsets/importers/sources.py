@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.io
 
+from epiprior.features.images import is_hidden_copy
 from epiprior.types import FloatArray
 from epiprior_lab.pairsets import DatasetError
 from epiprior_lab.pairsets.files import read_numbers
@@ -14,7 +15,6 @@ from epiprior_lab.pairsets.files import read_numbers
 logger = logging.getLogger(__name__)
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".ppm", ".pgm", ".bmp", ".tif", ".tiff")
-_APPLE_DOUBLE = "._"  # macOS keeps attributes of a file under its name with this prefix
 
 
 def need_folder(path: Path) -> Path:
@@ -27,7 +27,7 @@ def need_folder(path: Path) -> Path:
 def files_of(folder: Path, pattern: str) -> list[Path]:
     """Return the files of a folder that match a pattern, by name; ``._*`` of macOS are skipped with one warning."""
     found = sorted(path for path in need_folder(folder).glob(pattern) if path.is_file())
-    kept = [path for path in found if not path.name.startswith(_APPLE_DOUBLE)]
+    kept = [path for path in found if not is_hidden_copy(path.name)]
     if len(kept) < len(found):
         logger.warning("%s: %d files ._* skipped: attributes that macOS keeps", folder, len(found) - len(kept))
     return kept

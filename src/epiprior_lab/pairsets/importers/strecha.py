@@ -16,7 +16,7 @@ from epiprior_lab.pairsets.files import read_numbers
 from epiprior_lab.pairsets.importers.output import FoundPair, Photograph, name_of
 from epiprior_lab.pairsets.importers.photos import Matched, mapping_options, matched
 from epiprior_lab.pairsets.importers.sources import files_of
-from epiprior_lab.pairsets.importers.structure import HALF_PIXEL, PairChoice, choose_pairs, views_of
+from epiprior_lab.pairsets.importers.structure import DEFAULT_CHOICE, HALF_PIXEL, PairChoice, choose_pairs, views_of
 
 _ENDING = ".camera"
 _WIDTHS = (3, 3, 3, 3, 3, 3, 3, 3, 2)
@@ -38,14 +38,13 @@ def read_camera(path: Path) -> Camera:
         raise DatasetError(f"{path}: {error}") from error
 
 
-def find_strecha(folder: Path, *, images: Path | None = None, choice: PairChoice | None = None) -> list[FoundPair]:
+def find_strecha(folder: Path, *, images: Path | None = None, choice: PairChoice = DEFAULT_CHOICE) -> list[FoundPair]:
     """Return pairs of a scene, or of each scene below a folder.
 
     Photographs are in the folder `images`, else beside the ``*.camera`` files, else in a folder ``images`` beside
     theirs. DatasetError if there is no camera file, one is damaged, or a photograph is missing or has another size;
     ImageError if one cannot be read; all of a scene are checked first.
     """
-    choice = choice or PairChoice()
     files: dict[Path, list[Path]] = {}
     for path in files_of(folder, f"**/*{_ENDING}"):
         files.setdefault(path.parent, []).append(path)

@@ -49,6 +49,9 @@ class PairChoice:
                 raise SettingsError(f"{name} = {getattr(self, name)}, expected {least} or more")
 
 
+DEFAULT_CHOICE = PairChoice()
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
     """A photograph with its camera and the points it sees, by increasing id."""

@@ -233,29 +233,21 @@ export class Pane {
     paper.fillText(text, left + 4, top + 8);
   }
 
+  // Lines a x + b y + c = 0, cut off at the rim of the image.
   #drawLines() {
-    const { paper } = this;
+    const { paper, width, height, scale } = this;
+    paper.save();
+    paper.beginPath();
+    paper.rect(this.left, this.top, width * scale, height * scale);
+    paper.clip();
     for (const { line: [a, b, c], colour } of this.scene.lines(this.side)) {
-      const ends = this.#acrossImage(a, b, c);
-      if (!ends) continue;
+      const [x, y, reach] = [width / 2, height / 2, (width + height) / Math.hypot(a, b)];
+      const off = (a * x + b * y + c) / (a * a + b * b); // of the middle of the image
       paper.beginPath();
-      paper.moveTo(...this.toCanvas(ends[0]));
-      paper.lineTo(...this.toCanvas(ends[1]));
+      for (const part of [-reach, reach]) paper.lineTo(...this.toCanvas([x - off * a + part * b, y - off * b - part * a]));
       this.#stroke(colour, 1.4);
     }
-  }
-
-  // Where the line a x + b y + c = 0 enters and leaves the image, or null.
-  #acrossImage(a, b, c) {
-    const [right, bottom] = [this.width - 0.5, this.height - 0.5];
-    const ends = [];
-    for (const x of [-0.5, right]) if (b) ends.push([x, -(a * x + c) / b]);
-    for (const y of [-0.5, bottom]) if (a) ends.push([-(b * y + c) / a, y]);
-    const between = (value, end) => value >= -0.5 - 1e-6 && value <= end + 1e-6;
-    const kept = ends.filter(([x, y]) => between(x, right) && between(y, bottom));
-    const along = ([x, y]) => b * x - a * y;
-    kept.sort((p, q) => along(p) - along(q));
-    return kept.length > 1 ? [kept[0], kept.at(-1)] : null;
+    paper.restore();
   }
 
   // Around the cursor; while a partner is looked for in the other image, around the point that waits for it.
