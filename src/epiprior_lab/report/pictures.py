@@ -11,7 +11,7 @@ import numpy as np
 from epiprior.draw.captions import Picture, draw_label
 from epiprior.draw.pictures import DrawSettings, draw_matches
 from epiprior.matching.baselines import standard_matches
-from epiprior.matching.roll import orientation_differences, roll_density
+from epiprior.matching.pair import orientation_differences, roll_density
 from epiprior.rank import rank_matches
 from epiprior.two_view import estimate_fundamental
 from epiprior.types import FloatArray, FundamentalEstimate, MatchSet

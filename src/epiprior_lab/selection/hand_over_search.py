@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from epiprior.estimators.handover import HandOver, default_hand_over, hand_over
-from epiprior.estimators.run import best_fundamental
+from epiprior.estimators.run import solve
 from epiprior.types import EMPTY_MAPPING, FloatArray
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches, match_folder, store_matches
@@ -125,10 +125,9 @@ def candidate_errors(
         same = (name, _effect(sets, name, how))
         if same not in found:
             one = replace(sets, sets={name: sets.sets[name]})
-            runs = each_run(
-                best_fundamental, one, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs={name: how}
-            )
-            found[same] = [np.nan if F is None else float(errors_px(F, *points).mean()) for _, _, F in runs]
+            runs = each_run(solve, one, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs={name: how})
+            matrices = [solution.F for _, _, solution in runs]
+            found[same] = [np.nan if F is None else float(errors_px(F, *points).mean()) for F in matrices]
         errors.append(found[same])
     return np.array(errors, np.float64)
 
