@@ -1,9 +1,10 @@
 """Synthetic matches of two cameras with known F, for tests of everything after the matching."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from epiprior.estimators import find_estimator, registry
 from epiprior.estimators.handover import HandOver
 from epiprior.estimators.run import estimate_from_matches
 from epiprior.geometry import normalise_fundamental, sampson_distance
@@ -107,9 +108,14 @@ def make_pair(*, scene="relief", inliers=200, outliers=100, noise_px=0.5, order=
     return SyntheticPair(matches, right[walk], F, project(control, np.eye(3), np.zeros(3)), project(control, R, t))
 
 
-def run(name, matches, *, seed=0, settings=None):
+def run(name, matches, *, seed=0):
     """Run an estimator on all of the matches as they are."""
-    return estimate_from_matches([matches], estimator=name, seed=seed, hand_over=HandOver(), settings=settings)
+    return estimate_from_matches([matches], estimator=name, seed=seed, hand_over=HandOver())
+
+
+def cap(monkeypatch, name, max_iterations):
+    """Let an estimator draw no more hypotheses."""
+    monkeypatch.setitem(registry._REGISTRY, name, replace(find_estimator(name), max_iterations=max_iterations))
 
 
 def random_scene(seed, n=60, clusters=8):

@@ -7,7 +7,6 @@ import pytest
 from calls import refused
 from epiprior.draw.pictures import DrawSettings
 from epiprior.errors import SettingsError
-from epiprior.estimators import EstimatorSettings
 from epiprior.estimators.handover import HandOver
 from epiprior.presets import DEFAULT, PRESETS, find_preset
 from epiprior.verification.cascade import CascadeRule
@@ -20,7 +19,6 @@ NAN = float("nan")
     [
         (DEFAULT.features, {"detector": ["magic"], "max_image_size": [3], "max_keypoints": [1]}),
         (DEFAULT, {"vote_threshold": [-1.0], "frame": ["nothing"], "nearest": [NAN]}),
-        (EstimatorSettings(), {"threshold_px": [0.0, NAN], "confidence": [1.0], "max_iterations": [0]}),
         (HandOver(), {"top_k": [7, 300.0, True], "max_distance_ratio": [0.0, NAN], "threshold_px": [0.0, None]}),
         (HandOver(), dict.fromkeys(("one_to_one", "collect", "refine"), (1, "yes", None))),
         (DrawSettings(), {"max_matches": [0], "epipolar_lines": [9], "max_panel_size": [100]}),

@@ -11,9 +11,8 @@ import typer
 from typer.core import TyperGroup
 
 from epiprior.commands.collections import colmap, hloc, sfm
-from epiprior.commands.inventory import estimators, info
 from epiprior.commands.options import BAD_INPUT
-from epiprior.commands.photographs import draw, estimate, explain, match
+from epiprior.commands.photographs import draw, estimate, estimators, explain, info, match
 from epiprior.commands.printing import complain, drop_stdout, say
 from epiprior.errors import EpipriorError
 

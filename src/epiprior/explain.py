@@ -11,7 +11,6 @@ import numpy as np
 from epiprior.errors import SettingsError
 from epiprior.features.images import View
 from epiprior.geometry import sampson_distance
-from epiprior.kernels.compilation import announce_compilation
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.matching.pair import PreparedPair, prepare_pair, roll_hypotheses
 from epiprior.presets import PreprocessSettings, find_preset
@@ -21,7 +20,6 @@ from epiprior.ranking.models import Classifier, RankingModel, load_model
 from epiprior.ranking.probabilities import MatchTable
 from epiprior.ranking.second_round import second_round_rows, second_round_table
 from epiprior.ranking.two_keypoints import best_two_keypoint_matches
-from epiprior.ranking.votes import add_votes
 from epiprior.types import BoolArray, Features, FloatArray, IntArray, MatchSet
 
 MOST_PROBABLE = 100  # so many matches stand for the most probable ones; the less probable half for the least
@@ -160,7 +158,6 @@ def explain_match(
     if match < 0:
         raise SettingsError(f"match is {match}, must be at least 0")
     settings = settings or find_preset(preset)
-    announce_compilation(add_votes, "the preprocessing", "about half a minute")
     model = load_model(settings.model)
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, ordered=True)
     before = 0

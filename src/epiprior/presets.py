@@ -6,9 +6,13 @@ A preset names its model (``models/<model>``) and the input of estimators that i
 
 import math
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any, Literal
 
 from epiprior.errors import SettingsError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 Mode = Literal["cascade", "preprocess", "standard"]
 
@@ -40,16 +44,30 @@ SECOND_ROUND_COLUMNS = (
 )  # fmt: skip
 
 
-def _within(low: float, high: float, default: float) -> Any:
-    """Return a field with a default and the range that `_check_ranges` asks for."""
+def in_range(low: float, high: float, default: Any) -> Any:
+    """Return a field of settings with a default and the range that `check_settings` asks for."""
     return field(default=default, metadata={"range": (low, high)})
 
 
-def _check_ranges(settings: "FeatureSettings | PreprocessSettings") -> None:
+def check_settings(settings: "DataclassInstance") -> None:
+    """Raise SettingsError for a number out of the range of its field, or a value where true or false is expected.
+
+    None is in range where it is the default.
+    """
     for item in fields(settings):
-        low, high = item.metadata.get("range", (None, None))
-        if low is not None and not low <= (value := getattr(settings, item.name)) <= high:
-            raise SettingsError(f"{item.name} is {value}, must lie in [{low}, {high}]")
+        value = getattr(settings, item.name)
+        if "range" in item.metadata and not (value is None and item.default is None):
+            check_number(item.name, value, *item.metadata["range"])
+        elif isinstance(item.default, bool) and not isinstance(value, bool):
+            raise SettingsError(f"{item.name} is {value!r}, expected true or false")
+
+
+def check_number(name: str, value: object, low: float, high: float) -> None:
+    """Raise SettingsError unless `value` is a number in [low, high], a whole one where `low` is one."""
+    kind = Integral if isinstance(low, int) else Real
+    if isinstance(value, bool) or not isinstance(value, kind) or not low <= float(value) <= high:
+        what = "whole number" if kind is Integral else "number"
+        raise SettingsError(f"{name} is {value!r}, must be a {what} in [{low:g}, {high:g}]")
 
 
 def check_choice(name: str, value: str, known: tuple[str, ...]) -> None:
@@ -75,16 +93,16 @@ class FeatureSettings:
     """
 
     detector: str = "sift"
-    max_image_size: int = _within(64, math.inf, 1024)
-    max_keypoints: int = _within(8, math.inf, 8000)
-    contrast_threshold: float = _within(0.0, 1.0, 0.013)
-    min_scale: float = _within(0.0, 1000.0, 0.0)
+    max_image_size: int = in_range(64, math.inf, 1024)
+    max_keypoints: int = in_range(8, math.inf, 8000)
+    contrast_threshold: float = in_range(0.0, 1.0, 0.013)
+    min_scale: float = in_range(0.0, 1000.0, 0.0)
     root: bool = True
     centred: bool = True
 
     def __post_init__(self) -> None:
         check_choice("detector", self.detector, DETECTORS)
-        _check_ranges(self)
+        check_settings(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,26 +131,26 @@ class PreprocessSettings:
     name: str
     model: str = "default"
     features: FeatureSettings = field(default_factory=FeatureSettings)
-    max_distance_ratio: float = _within(0.0, 1.0, 0.95)
-    roll_bandwidth_deg: float = _within(0.5, 90.0, 7.0)
-    merge_rolls_deg: float = _within(0.0, 180.0, 5.0)
-    min_cluster_similarity: float = _within(-1.0, 1.0, 0.85)
-    max_matches_per_cluster_pair: int = _within(1, 1_000_000, 400)
-    nearest: int = _within(0, 1000, 5)
-    within: float = _within(0.0, 1000.0, 5.0)
-    nearest_of_cluster: int = _within(0, 100, 1)
-    max_within: int = _within(0, 1000, 40)
-    two_keypoint_count: int = _within(2, 1000, 100)
+    max_distance_ratio: float = in_range(0.0, 1.0, 0.95)
+    roll_bandwidth_deg: float = in_range(0.5, 90.0, 7.0)
+    merge_rolls_deg: float = in_range(0.0, 180.0, 5.0)
+    min_cluster_similarity: float = in_range(-1.0, 1.0, 0.85)
+    max_matches_per_cluster_pair: int = in_range(1, 1_000_000, 400)
+    nearest: int = in_range(0, 1000, 5)
+    within: float = in_range(0.0, 1000.0, 5.0)
+    nearest_of_cluster: int = in_range(0, 100, 1)
+    max_within: int = in_range(0, 1000, 40)
+    two_keypoint_count: int = in_range(2, 1000, 100)
     frame: str = "2keypoint"
-    frame_radius: float = _within(0.1, 100.0, 6.0)
-    vote_threshold: float = _within(0.01, 100.0, 3.0)
+    frame_radius: float = in_range(0.1, 100.0, 6.0)
+    vote_threshold: float = in_range(0.01, 100.0, 3.0)
     two_keypoint_columns: tuple[str, ...] = TWO_KEYPOINT_COLUMNS
     match_columns: tuple[str, ...] = MATCH_COLUMNS
-    second_round: int = _within(0, 1_000_000, 3000)
+    second_round: int = in_range(0, 1_000_000, 3000)
 
     def __post_init__(self) -> None:
         check_choice("frame", self.frame, FRAMES)
-        _check_ranges(self)
+        check_settings(self)
 
     @property
     def extended(self) -> bool:

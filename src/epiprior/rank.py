@@ -7,7 +7,6 @@ import numpy as np
 from epiprior import presets
 from epiprior.errors import ModelError
 from epiprior.features.images import View
-from epiprior.kernels.compilation import announce_compilation
 from epiprior.kernels.parallel import in_threads
 from epiprior.matching.baselines import standard_set
 from epiprior.matching.pair import PreparedPair, Stopwatch, prepare_pair, roll_hypotheses
@@ -15,7 +14,6 @@ from epiprior.presets import PreprocessSettings, find_preset
 from epiprior.ranking.hypothesis import Candidates, Votes, cast_votes, cluster_images, describe_matches, find_candidates
 from epiprior.ranking.models import RankingModel, load_model
 from epiprior.ranking.second_round import second_round_rows, second_round_table
-from epiprior.ranking.votes import add_votes
 from epiprior.types import Features, MatchSet, RankedMatches
 
 
@@ -53,7 +51,6 @@ def rank_matches(
     Paper, algorithm 1, lines 2 to 16.
     """
     settings = settings or find_preset(preset)
-    announce_compilation(add_votes, "the preprocessing", "about half a minute")
     model = model or load_model(settings.model)
     _check_columns(model, settings)
     watch = Stopwatch()
@@ -107,20 +104,15 @@ def rank_voted(
         rows = second_round_rows(probability, settings.second_round)
         again = second_round_table(rows, union, frames, table, probability, votes.matrices)
         probability[rows] = model.second_round(again.select(model.second_round.columns))
-    (place1, place2), (f1, f2), (to_working1, to_working2) = prepared.locations, prepared.features, prepared.to_working
-    row1, row2 = place1.first[union.location1], place2.first[union.location2]
+    (place1, place2), (to_working1, to_working2) = prepared.locations, prepared.to_working
     sfm, ratio = table.column("supporting_matrices"), table.column("distance_ratio")
     F = to_working2.T @ votes.matrices @ to_working1
     F /= np.maximum(np.linalg.norm(F, axis=(1, 2), keepdims=True), 1e-300)
-    ranked = MatchSet(
-        x1=f1.xy[row1],
-        x2=f2.xy[row2],
-        scale1=f1.scale[row1],
-        scale2=f2.scale[row2],
+    ranked = prepared.matches_of(
+        place1.first[union.location1],
+        place2.first[union.location2],
         orientation1_deg=np.rad2deg(frames.orientation1_rad),
         orientation2_deg=np.rad2deg(frames.orientation2_rad),
-        feature1=row1,
-        feature2=row2,
         probability=probability,
         supporting_matrices=sfm.astype(np.int64),
         distance_ratio=ratio,
@@ -129,6 +121,5 @@ def rank_voted(
         two_keypoint_probability=table.column("best_two_keypoint"),
         roll_deg=float(np.rad2deg(frames.roll_rad)),
         rough_matrices=F,
-        image_sizes=(f1.image_size, f2.image_size),
     )
     return prepared.as_given(ranked.take(np.lexsort((np.arange(len(union)), ratio, -sfm, -probability))))

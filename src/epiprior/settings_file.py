@@ -1,4 +1,4 @@
-"""Files of settings that were chosen on validation scenes and come with the models."""
+"""The models, and files of settings that were chosen on validation scenes: both come with epiprior."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
 def find_settings_file(name: str) -> Path | None:
-    """Return the file `name` that comes with the models: in the wheel, or in a checkout; None if there is none."""
+    """Return the file or the folder `name` of the models: in the wheel, or in a checkout; None if there is none."""
     package = Path(__file__).resolve().parent
     candidates = [package / "_models" / name]
     if package.parent.name == "src":
         candidates.append(package.parents[1] / "models" / name)
-    return next((path for path in candidates if path.is_file()), None)
+    return next((path for path in candidates if path.exists()), None)
 
 
 def read_settings_file(path: Path) -> dict[str, Any]:

@@ -9,15 +9,14 @@ from epiprior.estimators import find_estimator
 from epiprior.estimators.essential import Intrinsics
 from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.estimators.run import estimate_from_matches
+from epiprior.features.detect import explain_shortage
 from epiprior.features.images import Photograph, View, blank_photograph, load_photograph
-from epiprior.features.shortage import explain_shortage
-from epiprior.matching.baselines import generalized_matches, snn_features, snn_set, standard_set
+from epiprior.matching.baselines import generalized_set, snn_features, snn_set, standard_set
 from epiprior.matching.pair import Stopwatch, prepare_pair
-from epiprior.presets import PAPER, FeatureSettings, Mode, PreprocessSettings, check_choice, find_preset
+from epiprior.presets import PAPER, FeatureSettings, Mode, PreprocessSettings, check_choice, check_number, find_preset
 from epiprior.rank import rank_matches
 from epiprior.types import Features, FundamentalEstimate, MatchSet, RankedMatches, Status
 from epiprior.verification.cascade import CascadeRule, load_cascade_rule
-from epiprior.verification.confidence import check_min_confidence
 
 _Pair = tuple[Features | None, Features | None]
 
@@ -86,7 +85,7 @@ def estimate_fundamental(
     if mode != "cascade" and rule is not None:
         raise SettingsError(f"rule is of the cascade, but mode is {mode!r}")
     if min_confidence is not None:
-        check_min_confidence(min_confidence)
+        check_number("min_confidence", min_confidence, 0.0, 1.0)
     if mode == "cascade" and hand_over is not None:
         raise SettingsError("hand_over is for one input, but mode 'cascade' has two")
     chosen = settings or find_preset(preset)
@@ -143,17 +142,17 @@ def estimate_fundamental(
 def _simple_matches(
     kind: str, image1: View | None, image2: View | None, features: FeatureSettings, given: _Pair, watch: Stopwatch
 ) -> tuple[MatchSet, _Pair]:
-    """Return the matches of an input that is not ranked, and the features of both images where they are of use."""
+    """Return the matches of an input that is not ranked, and the features of both images."""
     as_paper = replace(features, root=PAPER.features.root, centred=PAPER.features.centred)
+    settings = replace(PAPER, features=snn_features(features) if kind == "snn" else as_paper)
+    how: dict[str, Any] = {"features1": given[0], "features2": given[1], "watch": watch, "ordered": True}
+    prepared = prepare_pair(image1, image2, settings, **how)
     if kind == "generalized":
         with watch.step("generalized matches"):
-            how: dict[str, Any] = {"features": as_paper, "features1": given[0], "features2": given[1]}
-            return generalized_matches(image1, image2, **how), given
-    settings = replace(PAPER, features=snn_features(features) if kind == "snn" else as_paper)
-    how = {"features1": given[0], "features2": given[1], "watch": watch, "ordered": True}
-    prepared = prepare_pair(image1, image2, settings, **how)
+            matches = generalized_set(prepared)
+    else:
+        matches = snn_set(prepared) if kind == "snn" else standard_set(prepared, settings)
     first, second = prepared.features
-    matches = snn_set(prepared) if kind == "snn" else standard_set(prepared, settings)
     return matches, (second, first) if prepared.turned else (first, second)
 
 

@@ -186,11 +186,6 @@ class RankedMatches:
     seconds: Mapping[str, float]
     preset: str
 
-    def swapped(self) -> RankedMatches:
-        """Return the same with the two images in the other order."""
-        sets = tuple(matches.swapped() for matches in self.sets)
-        return replace(self, sets=sets, standard=self.standard.swapped())
-
 
 class Status(StrEnum):
     """Outcome of an estimation."""

@@ -15,11 +15,11 @@ import epiprior
 from command_line import PAIR, FakeLibrary, one_line, refused, run_python
 from command_line import run_command as run
 from epiprior import ImageError, ModelError, Status
-from epiprior.io import read_matches
 from epiprior.presets import find_preset
 from epiprior.types import Geometry
 from pictures import relief_pair, save, texture
 from synthetic import make_estimate, make_matches
+from tables import read_table
 
 KEYS = "status confidence geometry F H support matches iterations estimator version input preset roll_deg seed"
 
@@ -126,7 +126,7 @@ def test_match_writes_all_sets_and_says_where_there_are_none(library, images, tm
     result = run("match", "a", "b", "--out", tmp_path / "m.csv", "--preset", "paper")
     assert result.exit_code == 0
     assert library.options("rank_matches")["settings"] == find_preset("paper")
-    assert [s.roll_deg for s in read_matches(tmp_path / "m.csv")] == [0.0, 90.0]
+    assert [s.roll_deg for s in read_table(tmp_path / "m.csv")] == [0.0, 90.0]
     assert str(len(PAIR.matches)) in result.stdout
     library.sets = (PAIR.matches.take(slice(0, 0)),)
     result = run("match", *images, "--out", tmp_path / "m.csv")

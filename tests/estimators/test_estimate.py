@@ -8,7 +8,6 @@ import pytest
 
 from calls import note_calls, refused
 from epiprior.errors import SettingsError
-from epiprior.estimators import EstimatorSettings
 from epiprior.estimators import fit as run_fit
 from epiprior.estimators import run as running
 from epiprior.estimators.handover import HandOver
@@ -188,7 +187,7 @@ def test_large_images_and_rough_matrices_are_measured_at_working_size(monkeypatc
     assert seen.x1.max() in (pytest.approx(m.x1.max()), pytest.approx(m.x2.max()))
 
 
-def test_settings_override_the_threshold_of_the_hand_over_and_no_set_is_refused():
-    estimate = usac(make_pair(noise_px=1.0).matches, PAPER, settings=EstimatorSettings(threshold_px=0.5))
+def test_the_hand_over_has_the_threshold_and_no_set_is_refused():
+    estimate = usac(make_pair(noise_px=1.0).matches, replace(PAPER, threshold_px=0.5))
     assert np.array_equal(estimate.inliers, sampson_distance(estimate.F, estimate.x1, estimate.x2) < 0.5)
     refused(SettingsError, "no set", estimate_from_matches, [], estimator="usac", hand_over=PAPER)

@@ -7,13 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from epiprior.estimators.evidence import SpreadEvidence
-from epiprior.estimators.proposals import models_of_plane, oriented_pairs, plane_and_parallax, progressive_rows
+from epiprior.estimators.epiprior import models_of_plane, oriented_pairs, plane_and_parallax, progressive_rows
 from epiprior.geometry import Evidence, as_columns, normalise_fundamental, sampson_distance
 from epiprior.kernels.local_steps import climb, refine_models
 from epiprior.kernels.samples import generator_state
 from epiprior.types import FloatArray, Status
-from epiprior.verification.measures import camera_plausibility, match_weights
+from epiprior.verification.measures import SpreadEvidence, camera_plausibility, match_weights
 from naive import eight_point, sampson
 from synthetic import make_matches, make_pair, on_epipolar_lines, project, rotation, run, same_matrix
 
@@ -56,12 +55,16 @@ def test_probability_weighs_a_crowd_speaks_once_and_clusters_and_implausible_cam
     m = replace(pair.matches, probability=np.full(50, 0.5))
     crowd = m.take(np.zeros(30, np.int64))
     crowd = replace(crowd, feature1=np.arange(30), feature2=np.arange(30))
-    alone = SpreadEvidence(m.take(slice(1))).score(pair.F)
-    assert SpreadEvidence(crowd).score(pair.F) == pytest.approx(alone, rel=1e-4)
+
+    def said(matches):
+        return SpreadEvidence(matches).scores(pair.F[None])[0]
+
+    alone = said(m.take(slice(1)))
+    assert said(crowd) == pytest.approx(alone, rel=1e-4)
     for sizes in (((1024, 768), (1024, 768)), ((1024, 768), (102400, 76800))):
-        wanted = camera_plausibility(pair.F[None], sizes)[0] * SpreadEvidence(m).score(pair.F)
-        assert SpreadEvidence(replace(m, image_sizes=sizes)).score(pair.F) == pytest.approx(wanted)
-    assert wanted < SpreadEvidence(m).score(pair.F)
+        wanted = camera_plausibility(pair.F[None], sizes)[0] * said(m)
+        assert said(replace(m, image_sizes=sizes)) == pytest.approx(wanted)
+    assert wanted < said(m)
     m = make_matches(np.zeros((4, 2)), np.zeros((4, 2)), distance_ratio=np.array([0.8, 0.8, 0.8, 1.0]))
     low, middle, high, cluster = match_weights(m, np.array([0.0, 0.5, 1.0, 0.5]))
     assert low == 0 < middle < high < np.inf

@@ -5,17 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epiprior.estimators import EstimatorSettings, find_estimator, fit, ratio_prior
+from epiprior.estimators import find_estimator, fit, own, ratio_prior
 from epiprior.estimators.own import Recipe, search, similarity_prior
 from epiprior.geometry import sampson_distance
 from epiprior.kernels.scores import KERNEL, LIKELIHOOD, SUPPORT
 from epiprior.types import MatchSet, Status
-from synthetic import HEIGHT, SyntheticPair, make_matches, make_pair, same_matrix
+from synthetic import HEIGHT, SyntheticPair, cap, make_matches, make_pair, same_matrix
 
 OWN = ("guided-mlesac", "beem", "blogs", "generalized-ransac")
 
 
-SEARCH = {"threshold_px": 1.5, "confidence": 0.99, "seed": 0}
+def found(matches, prior, most, **recipe):
+    """The F of a recipe that samples by a prior."""
+    return search(Recipe(prior=lambda _: prior, **recipe), matches, 1.5, most, 0)[0]
 
 
 def quarter_turn(x):
@@ -49,10 +51,10 @@ def test_two_oriented_matches_find_what_seven_do_not(turn_deg):
     """Ten per cent inliers and no prior: the chance is 1/100 for two matches, 1/10,000,000 for seven."""
     pair = make_pair(inliers=60, outliers=540, seed=1)
     matches = with_frames(pair, turn_deg)
-    recipes = (Recipe(kind=SUPPORT, oriented=share, raw_factor=3.0) for share in (1.0, 0.0))
-    oriented, seven = (search(matches, np.full(600, 0.1), how, max_iterations=5_000, **SEARCH) for how in recipes)
-    assert inliers_found(oriented.F, matches, pair.right) > 0.8
-    assert inliers_found(seven.F, matches, pair.right) < 0.7
+    how = {"kind": SUPPORT, "raw_factor": 3.0}
+    oriented, seven = (found(matches, np.full(600, 0.1), 5_000, oriented=share, **how) for share in (1.0, 0.0))
+    assert inliers_found(oriented, matches, pair.right) > 0.8
+    assert inliers_found(seven, matches, pair.right) < 0.7
 
 
 def test_supporters_joined_with_others_lead_off_a_plane_and_beem_finds_f_beside_one():
@@ -60,9 +62,8 @@ def test_supporters_joined_with_others_lead_off_a_plane_and_beem_finds_f_beside_
     for seed in range(6):
         pair = make_pair(scene="plane+", inliers=200, outliers=600, off_plane=30, order=0.5, seed=seed)
         for k, share in enumerate((0.0, 0.5)):
-            recipe = Recipe(kind=SUPPORT, local=1, local_share=0.5, mixed_share=share, min_iterations=1_500)
-            raw = search(pair.matches, np.full(800, 0.5), recipe, max_iterations=1_500, **SEARCH)
-            close[k] += pair.error_px(raw.F) < 3
+            how = {"kind": SUPPORT, "local": 1, "local_share": 0.5, "mixed_share": share, "min_iterations": 1_500}
+            close[k] += pair.error_px(found(pair.matches, np.full(800, 0.5), 1_500, **how)) < 3
     assert close[1] > close[0]
     assert close[1] >= 5
     # Its own recipe. What its mixed samples add is too little to be tested: its other samples find F as well.
@@ -79,18 +80,18 @@ def test_samples_of_one_plane_are_ruled_out(scene, changes):
     sample lies on one plane, ruling out changes nothing.
     """
     matches = make_pair(scene=scene, inliers=150, outliers=0, noise_px=0.1, seed=2).matches
-    recipes = [Recipe(kind=KERNEL, skip_planes=skip) for skip in (False, True)]
-    kept, ruled_out = (search(matches, np.ones(150), recipe, max_iterations=300, **SEARCH).F for recipe in recipes)
+    kept, ruled_out = (found(matches, np.ones(150), 300, kind=KERNEL, skip_planes=skip) for skip in (False, True))
     assert same_matrix(kept, ruled_out, 1e-6) is not changes
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_the_cap_is_kept_and_easy_pairs_end_early(name):
+def test_the_cap_is_kept_and_easy_pairs_end_early(name, monkeypatch):
     noise = replace(make_pair(inliers=0, outliers=200).matches, probability=np.full(200, 0.05))
-    own = find_estimator(name).max_iterations
-    assert fit(name, noise, settings=EstimatorSettings(confidence=1 - 1e-12)).iterations == own <= 5_000
-    assert fit(name, noise, settings=EstimatorSettings(max_iterations=50)).iterations == 50
     assert name == "blogs" or fit(name, make_pair(inliers=200, outliers=20).matches).iterations < 500
+    monkeypatch.setattr(own, "CONFIDENCE", 1 - 1e-12)
+    assert fit(name, noise).iterations == find_estimator(name).max_iterations <= 5_000
+    cap(monkeypatch, name, 50)
+    assert fit(name, noise).iterations == 50
 
 
 @pytest.mark.parametrize("name", OWN)
@@ -111,9 +112,8 @@ def test_the_likelihood_trusts_probable_matches():
     """Two motions: the more numerous one loses where its matches are improbable."""
     first, second = (make_pair(inliers=n, outliers=0, seed=s).matches for n, s in ((60, 0), (100, 1)))
     matches = two_motions(first, second, np.repeat([0.9, 0.02], [60, 100]))
-    recipe = Recipe(kind=LIKELIHOOD, min_iterations=3_000)
-    raw = search(matches, matches.probability, recipe, max_iterations=3_000, **SEARCH)
-    assert inliers_found(raw.F, matches, np.arange(160) < 60) > 0.9
+    F = found(matches, matches.probability, 3_000, kind=LIKELIHOOD, min_iterations=3_000)
+    assert inliers_found(F, matches, np.arange(160) < 60) > 0.9
 
 
 def test_blogs_prefers_probabilities_then_similarity_then_ratio():

@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 from importlib.util import find_spec
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,10 +11,10 @@ import pytest
 import epiprior
 from calls import refused
 from epiprior.errors import EstimatorError, FeatureError, SettingsError
-from epiprior.estimators import EstimatorSettings, RawModel, fit, licences, list_estimators, names, opencv, registry
+from epiprior.estimators import find_estimator, fit, licences, list_estimators, names, registry
 from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate, MatchSet, Status
-from synthetic import make_matches, make_pair, run
+from synthetic import cap, make_matches, make_pair, run
 
 IN_ORDER = ("usac", "magsac++", "gc-ransac", "prosac")
 BY_PROBABILITY = ("guided-mlesac", "beem", "blogs", "generalized-ransac")
@@ -52,7 +51,7 @@ def test_registry_names_states_and_licences_and_a_missing_backend_says_what_to_i
     assert epiprior.list_estimators() == list_estimators()
     assert list_estimators()["usac"] == "available"
     assert all(licences().values())
-    monkeypatch.setattr("epiprior.estimators.optional.importlib.util.find_spec", lambda _: None)
+    monkeypatch.setattr("epiprior.estimators.protocol.importlib.util.find_spec", lambda _: None)
     assert list_estimators()["degensac"] == 'pip install "epiprior[degensac]"'
     for name, state in list_estimators().items():
         if state != "available":
@@ -87,14 +86,15 @@ def test_five_percent_inliers_in_a_good_order(name):
 
 
 @pytest.mark.parametrize("name", IN_ORDER)
-def test_the_order_is_the_prior_that_is_used(name):
+def test_the_order_is_the_prior_that_is_used(name, monkeypatch):
     pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
     shuffled = pair.matches.take(np.random.default_rng(0).permutation(800))
-    assert not pair.error_px(run(name, shuffled, settings=EstimatorSettings(max_iterations=2_000)).F) < 10
+    cap(monkeypatch, name, 2_000)
+    assert not pair.error_px(run(name, shuffled).F) < 10
 
 
 @pytest.mark.parametrize("name", BY_PROBABILITY)
-def test_the_probability_is_the_prior_that_is_used(name):
+def test_the_probability_is_the_prior_that_is_used(name, monkeypatch):
     """The order says nothing to these, equal probabilities are no help; nor are orientations at random."""
     pair = make_pair(inliers=40, outliers=760, order=3.5, seed=3)
     rng = np.random.default_rng(0)
@@ -102,7 +102,8 @@ def test_the_probability_is_the_prior_that_is_used(name):
     shuffled = replace(shuffled, orientation2_deg=rng.uniform(0, 360, len(shuffled)))
     assert pair.error_px(run(name, shuffled).F) < 2.0
     equal = replace(shuffled, probability=np.full(len(shuffled), 0.05))
-    assert not pair.error_px(run(name, equal, settings=EstimatorSettings(max_iterations=1_000)).F) < 10
+    cap(monkeypatch, name, 1_000)
+    assert not pair.error_px(run(name, equal).F) < 10
 
 
 UNDECIDED, TOO_FEW = (Status.DEGENERATE, Status.NO_MODEL), (Status.TOO_FEW_MATCHES,)
@@ -152,11 +153,11 @@ def test_repeated_matches_change_nothing_but_the_mask_and_the_same_seed_gives_th
 
 
 @each_random_estimator
-def test_another_seed_draws_otherwise(name):
+def test_another_seed_draws_otherwise(name, monkeypatch):
     """On noisy matches with many near-best models: seeds that did nothing would all give one F."""
     matches = make_pair(inliers=80, outliers=80, noise_px=2.0, order=0.5, seed=1).matches
-    settings = EstimatorSettings(max_iterations=200)
-    found = {F.tobytes() for seed in range(8) if (F := fit(name, matches, seed=seed, settings=settings).F) is not None}
+    cap(monkeypatch, name, 200)
+    found = {F.tobytes() for seed in range(8) if (F := fit(name, matches, seed=seed).F) is not None}
     assert len(found) > 1
 
 
@@ -189,10 +190,7 @@ def backend_answers(monkeypatch, name, F):
         answer = None if F is None else {"F": F, "inlier_mask": garbage}
         monkeypatch.setattr(pycolmap, "estimate_fundamental_matrix", lambda *_: answer)
     else:
-        backend = SimpleNamespace(**{k: getattr(registry.find_estimator(name), k) for k in ("name", "max_iterations")})
-        backend.missing, backend.version = str, lambda: "1"
-        backend.fit = lambda *_, **__: RawModel(F=F)
-        monkeypatch.setitem(registry._REGISTRY, name, backend)
+        monkeypatch.setitem(registry._REGISTRY, name, replace(find_estimator(name), run=lambda *_: (F, None)))
 
 
 @each_estimator
@@ -220,18 +218,20 @@ def test_the_matrix_of_a_backend_is_mended_and_judged(monkeypatch):
         ({"inliers": 7, "outliers": 30}, lambda F: F, Status.NO_MODEL),  # seven right matches have no say
     ):
         pair = pair_in_order(**how)
-        answer = RawModel(F=change(pair.F), iterations=3)
-        monkeypatch.setattr(opencv.OpenCVEstimator, "fit", lambda *_, answer=answer, **__: answer)
+        answer = change(pair.F), 3
+        backend = replace(find_estimator("usac"), run=lambda *_, answer=answer: answer)
+        monkeypatch.setitem(registry._REGISTRY, "usac", backend)
         estimate = run("usac", pair.matches)
         assert_sound(estimate, pair.matches)
         assert (estimate.status, estimate.iterations) == (status, 3)
 
 
 @pytest.mark.parametrize("name", [name for name in ("prosac", "lo-ransac") if name in AVAILABLE])
-def test_poselib_keeps_its_cap(name):
+def test_poselib_keeps_its_cap(name, monkeypatch):
     noise = make_pair(inliers=0, outliers=200).matches
     assert fit(name, noise).iterations == 5_000
-    assert fit(name, noise, settings=EstimatorSettings(max_iterations=50)).iterations <= 51
+    cap(monkeypatch, name, 50)
+    assert fit(name, noise).iterations <= 51
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_defaults_exist_for_everything_hold_without_a_file_and_are_overridden_by
     assert table["usac"]["default"] == replace(default_hand_over("usac", "default"), top_k=123, refine=False)
     assert table["usac"]["snn"] == default_hand_over("usac", "snn")
     assert set(load_hand_overs()) == set(names())
-    monkeypatch.setattr(handover, "find_hand_overs", lambda: None)
+    monkeypatch.setattr(handover, "find_settings_file", lambda _: None)
     assert load_hand_overs()["magsac++"]["paper"] == default_hand_over("magsac++", "paper")
 
 

@@ -8,7 +8,7 @@ import pytest
 import epiprior
 import epiprior.matching.pair
 from calls import refused
-from epiprior.errors import FeatureError, SettingsError
+from epiprior.errors import FeatureError
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.matching.baselines import _candidates, generalized_matches, snn_matches, standard_matches
@@ -63,14 +63,14 @@ def test_candidates_equal_the_naive_search(n1, n2, limit):
 
 
 def test_candidates_share_a_low_probability_and_are_sorted():
-    matches = generalized_matches(*SMALL_PAIR, ncc_threshold=0.7, max_candidates=4)
-    assert len(matches) > len(generalized_matches(*SMALL_PAIR, ncc_threshold=0.9)) > 100
+    matches = generalized_matches(*SMALL_PAIR)
+    assert len(matches) > 100
     count1, count2 = (np.bincount(f)[f] for f in (matches.feature1, matches.feature2))
     np.testing.assert_allclose(matches.probability, 0.5 / np.maximum(count1, count2))
     assert count1.max() > 1
     key = list(zip(-matches.probability, -matches.similarity, strict=True))
     assert key == sorted(key)
-    assert matches.similarity.min() >= 0.7
+    assert matches.similarity.min() >= 0.85
     nearest = matches.distance_ratio < 1
     assert (nearest | (matches.similarity_weight == 0)).all()
     standard = standard_matches(*SMALL_PAIR, max_distance_ratio=1.0)  # whose columns they share
@@ -78,8 +78,6 @@ def test_candidates_share_a_low_probability_and_are_sorted():
     assert len(pairs) > 50
     assert pairs <= set(zip(standard.feature1.tolist(), standard.feature2.tolist(), strict=True))
     assert len(generalized_matches(np.full((200, 200), 128, np.uint8), SMALL_PAIR[0])) == 0
-    for bad in ({"ncc_threshold": 1.0}, {"ncc_threshold": float("nan")}, {"max_candidates": 0}, {"right_share": 0.0}):
-        refused(SettingsError, next(iter(bad)), epiprior.generalized_matches, *SMALL_PAIR, **bad)
 
 
 def test_standard_matches_are_the_papers_and_snn_is_mutual():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from epiprior.matching.roll import expected_roll, orientation_differences, roll_density
+from epiprior.matching.pair import expected_roll, orientation_differences, roll_density
 
 
 @pytest.mark.parametrize("roll", [-170.0, -78.0, 0.0, 3.5, 90.0, 179.5])

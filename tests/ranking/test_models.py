@@ -11,9 +11,9 @@ import pytest
 from scipy.special import expit
 
 from calls import refused
+from epiprior import settings_file
 from epiprior.errors import FeatureError, ModelError
 from epiprior.presets import DEFAULT
-from epiprior.ranking import models
 from epiprior.ranking.models import calibrate, find_model, load_model
 from tiny_model import MATCH_WEIGHTS, logistic, make_model
 
@@ -79,7 +79,7 @@ def test_rows_of_another_kind_are_refused(folder):
 def test_a_name_is_found_in_the_package_before_the_checkout(tmp_path, monkeypatch):
     package = tmp_path / "src" / "epiprior"
     package.mkdir(parents=True)
-    monkeypatch.setattr(models, "__file__", str(package / "ranking" / "models.py"))
+    monkeypatch.setattr(settings_file, "__file__", str(package / "settings_file.py"))
     (tmp_path / "models").mkdir()
     checkout = make_model(tmp_path / "models" / "default")
     assert find_model("default") == checkout

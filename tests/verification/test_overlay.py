@@ -9,7 +9,7 @@ import pytest
 from epiprior.matching.baselines import standard_matches
 from epiprior.types import Status
 from epiprior.verification.confidence import load_confidence
-from epiprior.verification.overlay import apart_from_overlay, share_in_place
+from epiprior.verification.facts import apart_from_overlay, share_in_place
 from pictures import relief_pair, smooth
 from synthetic import run
 

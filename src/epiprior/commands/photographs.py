@@ -1,4 +1,4 @@
-"""Commands on two photographs: `match`, `estimate`, `draw` and `explain`."""
+"""Commands on two photographs, `match`, `estimate`, `draw`, `explain`, and on what comes with epiprior."""
 
 import math
 import sys
@@ -10,7 +10,6 @@ from typing import Annotated
 import typer
 
 from epiprior.commands import options, printing
-from epiprior.errors import SettingsError
 
 
 def match(
@@ -40,7 +39,7 @@ def match(
     write_matches(out, ranked)
     counts = ", ".join(f"{len(s)} at a roll of {s.roll_deg:.0f} deg" for s in ranked.sets)
     if not any(len(s) for s in ranked.sets):
-        from epiprior.features.shortage import explain_shortage
+        from epiprior.features.detect import explain_shortage
 
         why = explain_shortage((image1, image2), (None, None), settings.features)
         printing.complain(f"no matches: {why or 'no feature resembles one of the other image'}")
@@ -130,7 +129,6 @@ def explain(
     *,
     match: Annotated[int, typer.Option(min=0, help="Row of the match in what 'epiprior match' writes, from 0.")],
     out: Annotated[Path | None, typer.Option(help="Figure to write: .png or .jpg.", show_default=False)] = None,
-    mode: Annotated[str, typer.Option(hidden=True)] = "preprocess",  # as of other commands, to say why not
     preset: options.Preset = "default",
     features: options.Detector = "sift",
     max_image_size: options.MaxImageSize = None,
@@ -145,8 +143,6 @@ def explain(
     """
     from epiprior.io.output import PICTURES, check_output
 
-    if mode != "preprocess":
-        raise SettingsError(f"mode is {mode!r}, but only ranked matches have a probability to explain: 'preprocess'")
     if out:
         check_output(out, PICTURES)
     from epiprior.explain import explain_match
@@ -165,3 +161,40 @@ def explain(
         printing.print_explanation(found)
         if out:
             printing.say(f"{out}: the picture")
+
+
+def info(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="Name or folder.", show_default=False)],
+    as_json: options.Json = False,
+) -> None:
+    """Check a model's files and print what it was trained on, its columns, metrics and versions.
+
+    epiprior info default
+
+    epiprior info models/paper --json
+    """
+    from epiprior.ranking.models import load_model
+    from epiprior.settings_file import find_settings_file
+
+    named = not any(slash in model for slash in "/\\")
+    folder = (named and find_settings_file(model)) or Path(model)
+    loaded = load_model(folder)
+    if as_json:
+        printing.print_json({"folder": str(folder), **loaded.manifest})
+        return
+    rows = [("folder", str(folder)), *printing.entries(loaded.manifest)]
+    printing.print_table(("entry", "value"), rows, title=f"model {loaded.name}")
+
+
+def estimators(as_json: options.Json = False) -> None:
+    """List the estimators: available here or what to install, and the licence of what runs."""
+    from epiprior.estimators import licences, list_estimators
+
+    licence, states = licences(), list_estimators()
+    if as_json:
+        printing.print_json(
+            [{"name": n, "available": a == "available", "status": a, "licence": licence[n]} for n, a in states.items()]
+        )
+        return
+    rows = [(name, state, licence[name]) for name, state in states.items()]
+    printing.print_table(("estimator", "available, or what to install", "licence"), rows)

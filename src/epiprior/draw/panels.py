@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epiprior.draw.captions import INK, PAPER, Colour, Picture
-from epiprior.errors import ImageError
-from epiprior.features.images import Image, read_image
+from epiprior.features.images import Image, check_pixels, read_image
 from epiprior.types import FloatArray
 
 SMALLEST_PANEL = 480
@@ -43,11 +42,7 @@ class Panel:
 def read_rgb(image: Image) -> Picture:
     """Return an image as uint8 RGB, (H, W, 3); ImageError for anything that is none."""
     if isinstance(image, np.ndarray):
-        if image.dtype != np.uint8 or not image.size or image.shape[2:] not in ((), (3,), (4,)) or image.ndim < 2:
-            raise ImageError(
-                f"the image array is {image.dtype} of shape {image.shape}, "
-                "expected uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, not empty"
-            )
+        check_pixels(image)
         return np.ascontiguousarray(image[..., :3] if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2))
     return np.asarray(cv2.cvtColor(read_image(image, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), dtype=np.uint8)
 

@@ -3,6 +3,7 @@
 Drawn with OpenCV alone. Points are pixels of the images as given, the centre of the top-left pixel at (0, 0).
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +12,9 @@ import numpy as np
 
 from epiprior.draw.captions import Colour, Picture, draw_header, draw_label, probability_colours
 from epiprior.draw.panels import SMALLEST_PANEL, Panel, blank_row, draw_dot, draw_epipolar_line, draw_line, lay_out
-from epiprior.errors import SettingsError
 from epiprior.features.images import Image
+from epiprior.io.output import PICTURES, check_output, replacing
+from epiprior.presets import check_settings, in_range
 from epiprior.types import FloatArray, FundamentalEstimate, IntArray, MatchSet
 
 # Eight hues that stay apart on a darkened photograph, also for the colour-blind (after Okabe and Ito).
@@ -26,17 +28,12 @@ _HUES: tuple[Colour, ...] = (
 class DrawSettings:
     """What is drawn, and how large; SettingsError for a number out of its range."""
 
-    max_matches: int = 100  # number of best matches drawn, one per feature, >= 1
-    epipolar_lines: int = 8  # number of inliers whose epipolar lines are drawn, in 0..8
-    max_panel_size: int = 1024  # longer side of each image, pixels, >= 480; none is enlarged beyond 480
+    max_matches: int = in_range(1, math.inf, 100)  # number of best matches drawn, one per feature
+    epipolar_lines: int = in_range(0, len(_HUES), 8)  # number of inliers whose epipolar lines are drawn
+    max_panel_size: int = in_range(SMALLEST_PANEL, math.inf, 1024)  # longer side of each image; enlarged to 480 at most
 
     def __post_init__(self) -> None:
-        if self.max_matches < 1:
-            raise SettingsError(f"max_matches is {self.max_matches}, must be at least 1")
-        if not 0 <= self.epipolar_lines <= len(_HUES):
-            raise SettingsError(f"epipolar_lines is {self.epipolar_lines}, must be in 0..{len(_HUES)}")
-        if self.max_panel_size < SMALLEST_PANEL:
-            raise SettingsError(f"max_panel_size is {self.max_panel_size}, must be at least {SMALLEST_PANEL}")
+        check_settings(self)
 
 
 def draw_matches(
@@ -79,8 +76,6 @@ def write_picture(path: Path, picture: Picture) -> None:
 
     OutputError if the suffix is unknown or the file cannot be written; the message names the path.
     """
-    from epiprior.io.output import PICTURES, check_output, replacing
-
     check_output(path, PICTURES)
     _, data = cv2.imencode(path.suffix.lower(), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
     with replacing(path) as partial:

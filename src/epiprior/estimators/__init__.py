@@ -3,9 +3,7 @@
 Of every backend epiprior recomputes the mask, makes F rank 2 and of unit norm, and judges whether F is decided.
 """
 
-from epiprior.estimators.protocol import Estimator, EstimatorSettings, RawModel
+from epiprior.estimators.protocol import Estimator
 from epiprior.estimators.registry import find_estimator, fit, licences, list_estimators, names
 
-__all__ = [
-    "Estimator", "EstimatorSettings", "RawModel", "find_estimator", "fit", "licences", "list_estimators", "names",
-]  # fmt: skip
+__all__ = ["Estimator", "find_estimator", "fit", "licences", "list_estimators", "names"]

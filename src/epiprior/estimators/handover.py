@@ -13,10 +13,11 @@ from typing import Any
 
 from epiprior.errors import SettingsError
 from epiprior.estimators.registry import names
-from epiprior.presets import check_choice
+from epiprior.presets import check_choice, check_settings, in_range
 from epiprior.settings_file import find_settings_file, parse_settings, read_settings_file
 from epiprior.types import MatchSet
 
+FILE = "hand_over.json"
 INPUTS = ("standard", "snn", "generalized", "paper-standard", "paper", "default")
 _TAKES_ORDER = frozenset({"usac", "magsac++", "gc-ransac", "prosac"})
 _TAKES_WEIGHTS = frozenset({"guided-mlesac", "beem", "blogs", "generalized-ransac", "epiprior"})
@@ -33,7 +34,7 @@ class HandOver:
     max_distance_ratio : Only matches with d_r up to this, in (0, 1].
     threshold_px : Inlier threshold of the estimator, working pixels, > 0.
     collect : Collect support again over all one-to-one matches of the set, and let what they say for F
-        (`epiprior.estimators.evidence`) decide between roll hypotheses. False: the inliers handed over (the paper).
+        (`SpreadEvidence`) decide between roll hypotheses. False: the inliers handed over (the paper).
     refine : Refine F on the matches that support is collected from, weighted by their probabilities.
 
     Raises
@@ -42,27 +43,14 @@ class HandOver:
     """
 
     one_to_one: bool = False
-    top_k: int | None = None
-    max_distance_ratio: float | None = None
-    threshold_px: float = 1.5
+    top_k: int | None = in_range(8, math.inf, None)
+    max_distance_ratio: float | None = in_range(1e-9, 1.0, None)
+    threshold_px: float = in_range(1e-9, 1e9, 1.5)
     collect: bool = False
     refine: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("one_to_one", "collect", "refine"):
-            if not isinstance(getattr(self, name), bool):
-                raise SettingsError(f"{name} is {getattr(self, name)!r}, expected true or false")
-        for name, kind, low, high in (
-            ("top_k", int, 8, math.inf),
-            ("max_distance_ratio", int | float, 1e-9, 1.0),
-            ("threshold_px", int | float, 1e-9, 1e9),
-        ):
-            value = getattr(self, name)
-            if value is None and name != "threshold_px":
-                continue
-            if isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high:
-                number = "whole number" if kind is int else "number"
-                raise SettingsError(f"{name} is {value!r}, expected a {number} in [{low:g}, {high:g}]")
+        check_settings(self)
 
 
 def hand_over(matches: MatchSet, how: HandOver) -> MatchSet:
@@ -99,7 +87,7 @@ def load_hand_overs(path: Path | None = None) -> dict[str, dict[str, HandOver]]:
     one. Raises SettingsError if it cannot be read, or names an estimator, input or field that does not exist.
     """
     table = {name: {kind: default_hand_over(name, kind) for kind in INPUTS} for name in names()}
-    found = path if path is not None else find_hand_overs()
+    found = path or find_settings_file(FILE)
     if found is None:
         return table
     for estimator, kinds in read_settings_file(found).items():
@@ -124,8 +112,3 @@ def save_hand_overs(path: Path, table: Mapping[str, Mapping[str, HandOver]]) -> 
             if other:
                 exceptions.setdefault(name, {})[kind] = other
     path.write_text(json.dumps(exceptions, indent=2, sort_keys=True) + "\n", encoding="utf-8", newline="\n")
-
-
-def find_hand_overs() -> Path | None:
-    """Return the file that comes with the models; None if there is none."""
-    return find_settings_file("hand_over.json")

@@ -1,17 +1,4 @@
-"""Our own estimators of the compiled loop (`epiprior.kernels.loop`): each is a recipe, a prior and a cap.
-
-- ``guided-mlesac``, after Tordoff and Murray (TPAMI 2005, as we recall it): seven matches drawn by their probability v,
-  score sum log(v p_in(r) + (1 - v) / w). It needs calibrated probabilities.
-- ``beem``, BEEM-style, our interpretation of Goshen and Shimshoni (ECCV 2006; TPAMI 2008), of which only the abstract
-  was at hand: prior information; global exploration, local exploration near the best model and its exploitation in
-  balance; the best model guides the search, is left where it is degenerate, and tells when to stop; F from two SIFT
-  matches. How these are done is ours.
-- ``blogs``, BLOGS-style, our interpretation of Brahmachari and Sarkar (ICCV 2009; TPAMI 2013, Hop-Diffusion Monte
-  Carlo), of which only the abstracts were at hand: global proposals (hops) guided by the similarity of matches, local
-  ones (diffusion) by the joint feature distribution of the best model, probabilistic support, degenerate configurations
-  ruled out.
-- ``generalized-ransac``, after Zhang and Kosecka (3DPVT 2006), as the paper sums it up (section 2): many candidates per
-  feature, each at a low probability, guided RANSAC. Its input is `epiprior.generalized_matches`.
+"""Our own estimators of the compiled loop (`epiprior.kernels.loop`): each is a recipe, whose sources stand beside it.
 
 Local optimisation and the oriented constraint are ours.
 """
@@ -19,13 +6,13 @@ Local optimisation and the oriented constraint are ours.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from epiprior.estimators.protocol import Estimator, EstimatorSettings, RawModel
+from epiprior.estimators.protocol import CONFIDENCE, Estimator
 from epiprior.estimators.ratio_prior import inlier_probability, probability_or_ratio_prior
 from epiprior.geometry import as_columns
-from epiprior.kernels.compilation import announce_compilation
 from epiprior.kernels.loop import FROM_JOINT_DENSITY, FROM_SUPPORT, NO_LOCAL, run_loop
 from epiprior.kernels.samples import cumulated, generator_state
 from epiprior.kernels.scores import KERNEL, LIKELIHOOD, SUPPORT, attainable, cut_distance, likelihood_odds
@@ -44,6 +31,7 @@ class Recipe:
     weak, measured on validation scenes. The likelihood always knows the prior.
     """
 
+    prior: Callable[[MatchSet], FloatArray] = probability_or_ratio_prior  # weight in sampling, (N,) in [0, 1]
     kind: int  # `SUPPORT`, `LIKELIHOOD` or `KERNEL` of `epiprior.kernels.scores`
     weighted: bool = False  # whether a match counts by its probability in the score and in local optimisation
     oriented: float = 0.0  # share of two oriented matches among the global samples; the others are seven matches
@@ -58,45 +46,19 @@ class Recipe:
     repeats: int = 5  # inner samples of local optimisation
 
 
-@dataclass(frozen=True, kw_only=True)
-class LoopEstimator(Estimator):
-    """An estimator that runs in the compiled loop."""
-
-    recipe: Recipe
-    prior: Callable[[MatchSet], FloatArray] = probability_or_ratio_prior  # weight in sampling, (N,) in [0, 1]
-    max_iterations: int = 5_000  # samples; each may give up to three hypotheses
-
-    def fit(self, matches: MatchSet, *, seed: int, settings: EstimatorSettings) -> RawModel:
-        """Run the loop; `iterations` counts samples."""
-        announce_compilation(run_loop, "our own estimators", "about twenty seconds")
-        cap = settings.max_iterations or self.max_iterations
-        threshold_px, confidence, prior = settings.threshold_px, settings.confidence, self.prior(matches)
-        return search(
-            matches, prior, self.recipe, threshold_px=threshold_px, confidence=confidence, max_iterations=cap, seed=seed
-        )
-
-
 def search(
-    matches: MatchSet,
-    prior: FloatArray,
-    recipe: Recipe,
-    *,
-    threshold_px: float,
-    confidence: float,
-    max_iterations: int,
-    seed: int,
-) -> RawModel:
-    """Run the loop on distinct, finite matches; F is None if no hypothesis had any support.
+    recipe: Recipe, matches: MatchSet, threshold_px: float, cap: int, seed: int
+) -> tuple[FloatArray | None, int]:
+    """Run the loop: F, None if no hypothesis had any support, and the number of samples drawn.
 
-    Matches are best first: their order does not enter the result's distribution, but the score stops earlier. `prior`,
-    shape (N,), is the weight of each match in sampling, >= 0; in [0, 1] where the recipe weighs scores by it. The
-    standard deviation of an inlier's distance is taken to be half of `threshold_px`.
+    The order of the matches does not enter the result's distribution, but with the best first the score stops earlier.
+    The standard deviation of an inlier's distance is taken to be half of `threshold_px`.
     """
     conditioned = condition(matches)
     sigma = threshold_px / conditioned.unit_px
     if recipe.kind != SUPPORT:
         sigma /= _SIGMAS_OF_THRESHOLD
-    prior = np.ascontiguousarray(prior, dtype=np.float64)
+    prior = np.ascontiguousarray(recipe.prior(matches), dtype=np.float64)
     weighted = recipe.weighted and not np.isnan(matches.probability).any()
     gain = prior if weighted or recipe.kind == LIKELIHOOD else np.ones(len(prior))
     odds = gain
@@ -104,15 +66,14 @@ def search(
         extent = float(np.ptp(conditioned.columns[2]) + np.ptp(conditioned.columns[3])) / 2.0
         odds = likelihood_odds(prior, sigma, max(extent, sigma))
     separations = np.array([_SEPARATION_PX, _ORIENTED_SEPARATION_PX]) / conditioned.unit_px
-    rest = attainable(odds, recipe.kind)
     F, value, iterations = run_loop(
-        conditioned.columns, conditioned.frames, prior, cumulated(prior), gain, odds, rest, rest,
+        conditioned.columns, conditioned.frames, prior, cumulated(prior), gain, odds, attainable(odds, recipe.kind),
         recipe.kind, sigma, cut_distance(recipe.kind, sigma), recipe.raw_factor,
         recipe.oriented, recipe.local, recipe.local_share, recipe.local_growth, recipe.mixed_share, recipe.skip_planes,
-        separations**2, recipe.good_sample_share, math.log1p(-confidence),
-        recipe.min_iterations, max_iterations, recipe.repeats, generator_state(seed),
+        separations**2, recipe.good_sample_share, math.log1p(-CONFIDENCE),
+        recipe.min_iterations, cap, recipe.repeats, generator_state(seed),
     )  # fmt: skip
-    return RawModel(F=conditioned.to_pixels(F) if value > 0 else None, iterations=int(iterations))
+    return conditioned.to_pixels(F) if value > 0 else None, int(iterations)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,38 +111,36 @@ def similarity_prior(matches: MatchSet) -> FloatArray:
     return matches.similarity_weight / highest if highest > 0 else inlier_probability(matches.distance_ratio)
 
 
-ESTIMATORS = (
-    LoopEstimator(name="guided-mlesac", recipe=Recipe(kind=LIKELIHOOD)),
-    # Exploration: two oriented matches by their prior (a quarter of the samples: seven matches). Exploitation: local
-    # optimisation of every hypothesis that beats all those before it. Local exploration: seven supporters, or
+_RECIPES = {
+    # After Tordoff and Murray (TPAMI 2005, as we recall it): seven matches drawn by their probability v, score
+    # sum log(v p_in(r) + (1 - v) / w). It needs calibrated probabilities.
+    "guided-mlesac": Recipe(kind=LIKELIHOOD),
+    # BEEM-style, our interpretation of Goshen and Shimshoni (ECCV 2006; TPAMI 2008), of which only the abstract was at
+    # hand. Exploration: two oriented matches by their prior (a quarter of the samples: seven matches). Exploitation:
+    # local optimisation of every hypothesis that beats all those before it. Local exploration: seven supporters, or
     # supporters joined with non-supporters, which leads off a plane; the larger the share of the prior that supports
     # the best model, the more of it. Stops when the chance of a better sample, by the prior's mass on the best support,
     # is small.
-    LoopEstimator(
-        name="beem",
-        recipe=Recipe(
-            kind=SUPPORT,
-            weighted=True,
-            oriented=0.75,
-            local=FROM_SUPPORT,
-            local_share=0.2,
-            local_growth=0.4,
-            mixed_share=0.5,
-            raw_factor=3.0,
-            good_sample_share=0.1,
-        ),
+    "beem": Recipe(
+        kind=SUPPORT, weighted=True, oriented=0.75, local=FROM_SUPPORT, local_share=0.2, local_growth=0.4,
+        mixed_share=0.5, raw_factor=3.0, good_sample_share=0.1,
     ),
-    # Hops and diffusion alternate at random, half and half. A fixed budget of samples, as we recall; the chain moves to
-    # what is better only. Samples six of which agree with one homography, compatible with F, are ruled out.
-    LoopEstimator(
-        name="blogs",
-        recipe=Recipe(
-            kind=KERNEL, weighted=True, local=FROM_JOINT_DENSITY, local_share=0.5, skip_planes=True, min_iterations=2000
-        ),
+    # BLOGS-style, our interpretation of Brahmachari and Sarkar (ICCV 2009; TPAMI 2013, Hop-Diffusion Monte Carlo), of
+    # which only the abstracts were at hand. Global proposals (hops), by the similarity of matches, and local ones
+    # (diffusion), by the joint feature distribution of the best model, alternate at random, half and half. A fixed
+    # budget of samples, as we recall; the chain moves to what is better only. Samples six of which agree with one
+    # homography, compatible with F, are ruled out.
+    "blogs": Recipe(
+        kind=KERNEL, weighted=True, local=FROM_JOINT_DENSITY, local_share=0.5, skip_planes=True, min_iterations=2000,
         prior=similarity_prior,
-        max_iterations=2_000,
     ),
-    # Seven matches by their probability, no two at one point; support is the truncated quadratic (MSAC), in which a
-    # match counts by its probability: the candidates of a feature share one vote.
-    LoopEstimator(name="generalized-ransac", recipe=Recipe(kind=SUPPORT, weighted=True)),
+    # After Zhang and Kosecka (3DPVT 2006), as the paper sums it up (section 2): many candidates per feature, those of
+    # `epiprior.generalized_matches`. Seven matches by their probability, no two at one point; support is the truncated
+    # quadratic (MSAC), in which a match counts by its probability: the candidates of a feature share one vote.
+    "generalized-ransac": Recipe(kind=SUPPORT, weighted=True),
+}  # fmt: skip
+# The caps are of samples; each may give up to three hypotheses.
+ESTIMATORS = tuple(
+    Estimator(name=name, run=partial(search, recipe), max_iterations=2_000 if name == "blogs" else 5_000)
+    for name, recipe in _RECIPES.items()
 )

@@ -7,14 +7,14 @@ from numbers import Integral
 import numpy as np
 
 from epiprior.errors import EstimatorError, FeatureError, SettingsError
-from epiprior.estimators import epiprior, opencv, optional, own
-from epiprior.estimators.protocol import SEED_LIMIT, Estimator, EstimatorSettings
+from epiprior.estimators import backends, epiprior, own
+from epiprior.estimators.protocol import SEED_LIMIT, Estimator
 from epiprior.geometry import MIN_MATCHES, as_points, first_of_equal, normalise_fundamental
 from epiprior.types import FloatArray, MatchSet, Status
 from epiprior.verification.chance import distinct_count
 
 _REGISTRY: dict[str, Estimator] = {
-    estimator.name: estimator for backend in (opencv, optional, own, epiprior) for estimator in backend.ESTIMATORS
+    estimator.name: estimator for module in (backends, own, epiprior) for estimator in module.ESTIMATORS
 }
 
 
@@ -64,11 +64,11 @@ def with_checked_points(matches: MatchSet) -> MatchSet:
     return replace(matches, x1=x1, x2=x2)
 
 
-def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSettings | None = None) -> Fit:
+def fit(name: str, matches: MatchSet, *, seed: int = 0, threshold_px: float = 1.5) -> Fit:
     """Run one estimator and check that its matrix is finite and of rank 2, but not whether it means anything.
 
     Matches are sorted best first. Of matches at identical points the first counts: repeated ones would make samples
-    singular, and count twice. The same `seed` >= 0 gives the same bytes.
+    singular, and count twice. The same `seed` >= 0 gives the same bytes. `threshold_px` is on the Sampson distance.
 
     Raises EstimatorError if the estimator is unknown or not installed, FeatureError if points are not finite or their
     numbers disagree, SettingsError if the seed is negative or no integer.
@@ -85,8 +85,8 @@ def fit(name: str, matches: MatchSet, *, seed: int = 0, settings: EstimatorSetti
     if count < MIN_MATCHES:
         status, message = Status.TOO_FEW_MATCHES, f"{count} distinct matches, at least {MIN_MATCHES} are needed"
     else:
-        raw = estimator.fit(distinct, seed=int(seed) % SEED_LIMIT, settings=settings or EstimatorSettings())
-        F, iterations = None if raw.F is None else normalise_fundamental(raw.F), raw.iterations
+        raw, iterations = estimator.run(distinct, threshold_px, estimator.max_iterations, int(seed) % SEED_LIMIT)
+        F = None if raw is None else normalise_fundamental(raw)
         if F is None:
             status, message = Status.NO_MODEL, "the estimator found no finite matrix of rank 2"
     seconds = time.perf_counter() - start

@@ -5,17 +5,15 @@ same, F transposed. Estimators draw samples and break ties by the order of numbe
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from epiprior.errors import SettingsError
 from epiprior.estimators.essential import WORTH, Intrinsics, essential_matrices
-from epiprior.estimators.evidence import SpreadEvidence
 from epiprior.estimators.handover import HandOver, hand_over
-from epiprior.estimators.protocol import EstimatorSettings
 from epiprior.estimators.registry import Fit, fit, with_checked_points
 from epiprior.geometry import MIN_MATCHES, normalise_fundamental, refine_fundamental, sampson_distance
 from epiprior.types import BoolArray, FloatArray, FundamentalEstimate, Geometry, MatchSet, Status
@@ -24,6 +22,7 @@ from epiprior.verification.cascade import FLAT
 from epiprior.verification.chance import chance_rate, distinct_count
 from epiprior.verification.confidence import MESSAGES, Verdict, judge, load_confidence
 from epiprior.verification.facts import Facts, chance_of_homography, describe_estimate
+from epiprior.verification.measures import SpreadEvidence
 
 Factors = tuple[float, float]
 _SURE_BY_CHANCE = -3.0  # of a homography without an F: expected once in a thousand pairs by chance,
@@ -35,13 +34,9 @@ class _Ready:
 
     def __init__(self, matches: MatchSet, how: HandOver) -> None:
         self.matches, self.how, self.handed = matches, how, hand_over(matches, how)
+        self.evidence = SpreadEvidence(matches)
         self.wide = self.evidence.single if how.collect else self.handed
         self.weights = np.nan_to_num(self.wide.probability, nan=1.0)
-
-    @cached_property
-    def evidence(self) -> SpreadEvidence:
-        """What all matches say for an F."""
-        return SpreadEvidence(self.matches)
 
 
 @dataclass(frozen=True)
@@ -65,20 +60,73 @@ class _Hypothesis:
     score: float = -1.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Described:
-    """F in given pixels, None if there is none, and the facts that its confidence is learnt from."""
-
-    F: FloatArray | None
-    facts: Facts | None
-
-
 def ready_matches(sets: Sequence[MatchSet], hand_over: HandOver, pixel_factors: Factors = (1.0, 1.0)) -> ReadyMatches:
-    """Return what `estimate_from_matches` makes of its arguments first, to estimate more than once on them."""
+    """Return what `solve` makes of its arguments first, to estimate more than once on them."""
     start = time.perf_counter()
     sets, factors, turned = _in_order(sets, pixel_factors)
     ready = tuple(_Ready(_scale(matches, 1 / factors[0], 1 / factors[1]), hand_over) for matches in sets)
     return ReadyMatches(ready, factors, turned, time.perf_counter() - start)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """F of several roll hypotheses, and what is known of it; each is computed when it is first asked for."""
+
+    tried: tuple[_Hypothesis, ...]
+    ready: ReadyMatches
+    threshold_px: float
+
+    @cached_property
+    def best(self) -> _Hypothesis:
+        """The roll hypothesis whose F is best supported."""
+        return max(self.tried, key=lambda hypothesis: hypothesis.score)
+
+    @cached_property
+    def F(self) -> FloatArray | None:  # noqa: N802
+        """F in given pixels, (3, 3), the images in the order as given; None if there is none."""
+        F = self._given_F
+        return F.T if self.ready.turned and F is not None else F
+
+    @property
+    def _given_F(self) -> FloatArray | None:  # noqa: N802
+        F, factors = self.best.F, self.ready.factors
+        if F is None or factors == (1.0, 1.0):
+            return F
+        D1, D2 = (np.diag([1 / factor, 1 / factor, 1.0]) for factor in factors)
+        return normalise_fundamental(D2 @ F @ D1)
+
+    @cached_property
+    def homography(self) -> tuple[FloatArray | None, Geometry | None]:
+        """The best homography of the supporters of F, without F of all matches, and its kind; in working pixels."""
+        return _homography(self.best, self.threshold_px)
+
+    @cached_property
+    def facts(self) -> Facts | None:
+        """The facts that the confidence in F is learnt from; None without F."""
+        best, ready = self.best, self.best.ready
+        if best.F is None:
+            return None
+        others = tuple(h.F for h in self.tried if h is not best and h.F is not None)
+        return describe_estimate(
+            best.F, self.homography[0], ready.evidence, ready.handed, best.collected, self.threshold_px, others
+        )
+
+
+def solve(
+    sets: Sequence[MatchSet] | ReadyMatches,
+    *,
+    estimator: str,
+    seed: int = 0,
+    hand_over: HandOver,
+    pixel_factors: Factors = (1.0, 1.0),
+) -> Solution:
+    """Run an estimator on each of the sets, one per roll hypothesis; arguments as for `estimate_from_matches`.
+
+    F alone takes about half the time of an estimate: nothing is verified.
+    """
+    ready = sets if isinstance(sets, ReadyMatches) else ready_matches(sets, hand_over, pixel_factors)
+    tried = tuple(_try(one, estimator, seed, hand_over) for one in ready.hypotheses)
+    return Solution(tried=tried, ready=ready, threshold_px=hand_over.threshold_px)
 
 
 def estimate_from_matches(
@@ -87,7 +135,6 @@ def estimate_from_matches(
     estimator: str,
     seed: int = 0,
     hand_over: HandOver,
-    settings: EstimatorSettings | None = None,
     pixel_factors: Factors = (1.0, 1.0),
     min_confidence: float | None = None,
     intrinsics: tuple[Intrinsics, Intrinsics] | None = None,
@@ -95,58 +142,50 @@ def estimate_from_matches(
     """Run an estimator on each of the sets, one per roll hypothesis, and return the best supported F.
 
     Each set is sorted best first; standard matches are a single set. Thresholds are meant in working pixels:
-    `pixel_factors` are given pixels per working pixel in both images. `settings` replaces the estimator's own with the
-    threshold of `hand_over`, and `min_confidence` the confidence from which on the status is ``ok``. Sets that
-    `ready_matches` has made ready with this hand-over save time; their factors hold. `iterations` of the result adds up
-    over the sets. Under known `intrinsics`, of the images in given pixels, `calibrated` of the result is the surer of
-    `essential_matrices`, by the same facts. Raises what `epiprior.estimators.fit` and `load_confidence` raise, and
-    SettingsError without any set.
+    `pixel_factors` are given pixels per working pixel in both images. `min_confidence` replaces the confidence from
+    which on the status is ``ok``. Sets that `ready_matches` has made ready with this hand-over save time; their factors
+    hold. `iterations` of the result adds up over the sets. Under known `intrinsics`, of the images in given pixels,
+    `calibrated` of the result is the surer of `essential_matrices`, by the same facts. Raises what
+    `epiprior.estimators.fit` and `load_confidence` raise, and SettingsError without any set.
 
     Paper: the F with more inliers wins. Ours, where `hand_over.collect`: what all matches of the set say for F decides,
     each weighted by its probability and each part of the images once, times the plausibility of the cameras
-    (`epiprior.estimators.evidence`). A thousand improbable matches then weigh less than fifty good ones.
+    (`SpreadEvidence`). A thousand improbable matches then weigh less than fifty good ones.
     """
-    options = settings or EstimatorSettings(threshold_px=hand_over.threshold_px)
-    ready = sets if isinstance(sets, ReadyMatches) else ready_matches(sets, hand_over, pixel_factors)
-    start = time.perf_counter() - ready.seconds
-    tried, best = _try_all(ready, estimator, seed, hand_over, options)
-    answer = partial(_answer, tried, ready, options.threshold_px, min_confidence, estimator)
-    estimate = answer(best)
+    start = time.perf_counter()
+    solution = solve(sets, estimator=estimator, seed=seed, hand_over=hand_over, pixel_factors=pixel_factors)
+    estimate = _answer(solution, estimator, min_confidence)
     if intrinsics and estimate.confidence >= WORTH and estimate.geometry not in FLAT:
-        estimate = replace(
-            estimate, calibrated=_calibrated(answer, best, ready, intrinsics, options.threshold_px, seed)
-        )
-    running = sum(hypothesis.found.seconds for hypothesis in tried)
-    estimate = replace(estimate, seconds={"estimator": running, "support": time.perf_counter() - start - running})
-    return estimate.swapped() if ready.turned else estimate
+        found = [_answer(one, estimator, min_confidence, E) for E, one in _under(intrinsics, solution, seed)]
+        surest = max(found, key=lambda one: one.confidence, default=None)
+        if surest:
+            estimate = replace(estimate, calibrated=replace(surest, x1=estimate.x1, x2=estimate.x2))
+    running = sum(hypothesis.found.seconds for hypothesis in solution.tried)
+    spent = time.perf_counter() - start + (solution.ready.seconds if solution.ready is sets else 0.0)
+    estimate = replace(estimate, seconds={"estimator": running, "support": spent - running})
+    return estimate.swapped() if solution.ready.turned else estimate
 
 
 def _answer(
-    tried: Sequence[_Hypothesis],
-    ready: ReadyMatches,
-    px: float,
-    min_confidence: float | None,
-    estimator: str,
-    best: _Hypothesis,
-    E: FloatArray | None = None,
+    solution: Solution, estimator: str, min_confidence: float | None, E: FloatArray | None = None
 ) -> FundamentalEstimate:
-    """Return what is said of the best hypothesis, with the images in the order of `ready`."""
-    collected = best.collected
-    H, kind = _homography(best, px)
-    if best.F is None:
+    """Return what is said of a solution, with the images in its own order."""
+    ready, tried, best, px = solution.ready, solution.tried, solution.best, solution.threshold_px
+    (H, kind), collected = solution.homography, best.collected
+    if solution.facts is None:
         verdict = _without_fundamental(tried, best, kind)
     else:
-        verdict = judge(_facts(tried, best, H, px), kind, load_confidence(), min_confidence)
+        verdict = judge(solution.facts, kind, load_confidence(), min_confidence)
     flat = verdict.geometry in FLAT
     inliers = np.zeros(len(collected), np.bool_)
     if flat and H is not None:
         inliers = _on_homography(H, collected, px)
     elif best.F is not None:
         inliers = sampson_distance(best.F, collected.x1, collected.x2) < px
-    drawn = [hypothesis.found.iterations for hypothesis in tried]
+    drawn = [hypothesis.found.iterations for hypothesis in tried if hypothesis.found.iterations is not None]
     return FundamentalEstimate(
         status=verdict.status,
-        F=None if best.F is None else _to_given_pixels(best.F, ready.factors),
+        F=solution._given_F,
         x1=collected.x1 * ready.factors[0],
         x2=collected.x2 * ready.factors[1],
         inliers=inliers,
@@ -155,7 +194,7 @@ def _answer(
         geometry=verdict.geometry,
         H=_homography_in_given_pixels(H, ready.factors) if flat and H is not None else None,
         E=E,
-        iterations=sum(n for n in drawn if n is not None) if any(n is not None for n in drawn) else None,
+        iterations=sum(drawn) if drawn else None,
         estimator=estimator,
         version=best.found.version,
         roll_deg=best.ready.matches.roll_deg,
@@ -163,28 +202,20 @@ def _answer(
     )
 
 
-def _calibrated(
-    answer: Callable[..., FundamentalEstimate],
-    best: _Hypothesis,
-    ready: ReadyMatches,
-    intrinsics: tuple[Intrinsics, Intrinsics],
-    px: float,
-    seed: int,
-) -> FundamentalEstimate | None:
-    """Return the surest estimate from an essential matrix of the collected matches; None where there is none."""
+def _under(
+    intrinsics: tuple[Intrinsics, Intrinsics], solution: Solution, seed: int
+) -> Iterator[tuple[FloatArray, Solution]]:
+    """Yield essential matrices of the collected matches, and the solution with their F instead."""
+    best, ready = solution.best, solution.ready
     given = intrinsics[::-1] if ready.turned else intrinsics
     both = [camera.in_working_pixels(factor) for camera, factor in zip(given, ready.factors, strict=True)]
-    straight, collected = best, best.collected
     if any(camera.undistort for camera in both):
         own = _undistorted(best.ready.matches, both)
-        straight = replace(best, ready=_Ready(own, best.ready.how), collected=_undistorted(collected, both))
-    x1, x2, K1, K2 = straight.collected.x1, straight.collected.x2, both[0].K, both[1].K
-    matrices = essential_matrices(x1, x2, K1, K2, threshold_px=px, seed=seed)
-    found = [answer(replace(straight, F=F), E) for E, F in matrices]
-    if not found:
-        return None
-    surest = max(found, key=lambda estimate: estimate.confidence)
-    return replace(surest, x1=collected.x1 * ready.factors[0], x2=collected.x2 * ready.factors[1])
+        best = replace(best, ready=_Ready(own, best.ready.how), collected=_undistorted(best.collected, both))
+    x1, x2, K1, K2 = best.collected.x1, best.collected.x2, both[0].K, both[1].K
+    for E, F in essential_matrices(x1, x2, K1, K2, threshold_px=solution.threshold_px, seed=seed):
+        tried = (replace(best, F=F) if one is solution.best else one for one in solution.tried)
+        yield E, replace(solution, tried=tuple(tried))
 
 
 def _undistorted(matches: MatchSet, cameras: Sequence[Intrinsics]) -> MatchSet:
@@ -193,42 +224,6 @@ def _undistorted(matches: MatchSet, cameras: Sequence[Intrinsics]) -> MatchSet:
         for camera, x in zip(cameras, (matches.x1, matches.x2), strict=True)
     )
     return replace(matches, x1=x1, x2=x2)
-
-
-def describe_from_matches(
-    sets: Sequence[MatchSet] | ReadyMatches,
-    *,
-    estimator: str,
-    seed: int = 0,
-    hand_over: HandOver,
-    pixel_factors: Factors = (1.0, 1.0),
-) -> Described:
-    """Return F of `estimate_from_matches` for the same arguments and its facts, without what is learnt from them."""
-    options = EstimatorSettings(threshold_px=hand_over.threshold_px)
-    ready = sets if isinstance(sets, ReadyMatches) else ready_matches(sets, hand_over, pixel_factors)
-    tried, best = _try_all(ready, estimator, seed, hand_over, options)
-    if best.F is None:
-        return Described(F=None, facts=None)
-    H, _ = _homography(best, options.threshold_px)
-    F = _to_given_pixels(best.F, ready.factors)
-    facts = _facts(tried, best, H, options.threshold_px)
-    return Described(F=F.T if ready.turned and F is not None else F, facts=facts)
-
-
-def best_fundamental(
-    sets: Sequence[MatchSet] | ReadyMatches,
-    *,
-    estimator: str,
-    seed: int = 0,
-    hand_over: HandOver,
-    pixel_factors: Factors = (1.0, 1.0),
-) -> FloatArray | None:
-    """Return F of `estimate_from_matches` for the same arguments, in about half the time: nothing is verified."""
-    options = EstimatorSettings(threshold_px=hand_over.threshold_px)
-    ready = sets if isinstance(sets, ReadyMatches) else ready_matches(sets, hand_over, pixel_factors)
-    _, best = _try_all(ready, estimator, seed, hand_over, options)
-    F = None if best.F is None else _to_given_pixels(best.F, ready.factors)
-    return F.T if ready.turned and F is not None else F
 
 
 def _in_order(sets: Sequence[MatchSet], factors: Factors) -> tuple[Sequence[MatchSet], Factors, bool]:
@@ -244,14 +239,6 @@ def _in_order(sets: Sequence[MatchSet], factors: Factors) -> tuple[Sequence[Matc
                 break
             return [one.swapped() for one in sets], (factors[1], factors[0]), True
     return sets, factors, False
-
-
-def _try_all(
-    ready: ReadyMatches, estimator: str, seed: int, how: HandOver, options: EstimatorSettings
-) -> tuple[list[_Hypothesis], _Hypothesis]:
-    """Return all hypotheses, and the best."""
-    tried = [_try(one, estimator, seed, how, options) for one in ready.hypotheses]
-    return tried, max(tried, key=lambda hypothesis: hypothesis.score)
 
 
 def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:
@@ -273,28 +260,21 @@ def _scale(matches: MatchSet, factor1: float, factor2: float) -> MatchSet:
     )
 
 
-def _to_given_pixels(F: FloatArray, factors: Factors) -> FloatArray | None:
-    if factors == (1.0, 1.0):
-        return F
-    D1, D2 = (np.diag([1 / factor, 1 / factor, 1.0]) for factor in factors)
-    return normalise_fundamental(D2 @ F @ D1)
-
-
-def _try(ready: _Ready, estimator: str, seed: int, how: HandOver, settings: EstimatorSettings) -> _Hypothesis:
+def _try(ready: _Ready, estimator: str, seed: int, how: HandOver) -> _Hypothesis:
     """Estimate, collect, refine, score: one roll hypothesis."""
-    found = fit(estimator, ready.handed, seed=seed, settings=settings)
+    found = fit(estimator, ready.handed, seed=seed, threshold_px=how.threshold_px)
     F, wide, weights = found.F, ready.wide, ready.weights
     if F is None:
         return _Hypothesis(found=found, ready=ready, collected=ready.handed)
     if how.refine:
         F = refine_fundamental(F, wide.x1, wide.x2, weights)
     if how.collect:
-        score = ready.evidence.score(F)
+        score = float(ready.evidence.scores(F[None])[0])
         # Drop the matches that are likelier wrong than right even where they agree with F (Bayes).
-        rate = chance_rate(F, wide.x1, wide.x2, settings.threshold_px)
+        rate = chance_rate(F, wide.x1, wide.x2, how.threshold_px)
         wide = wide.take(weights > rate * (1.0 - weights))
     else:
-        score = float(np.count_nonzero(sampson_distance(F, wide.x1, wide.x2) < settings.threshold_px))
+        score = float(np.count_nonzero(sampson_distance(F, wide.x1, wide.x2) < how.threshold_px))
     return _Hypothesis(found=found, ready=ready, collected=wide, F=F, score=score)
 
 
@@ -327,14 +307,6 @@ def _on_homography(H: FloatArray, matches: MatchSet, px: float) -> BoolArray:
 def _homography_in_given_pixels(H: FloatArray, factors: Factors) -> FloatArray:
     given = np.diag([factors[1], factors[1], 1.0]) @ H @ np.diag([1 / factors[0], 1 / factors[0], 1.0])
     return np.asarray(given / np.linalg.norm(given))
-
-
-def _facts(tried: Sequence[_Hypothesis], best: _Hypothesis, H: FloatArray | None, px: float) -> Facts:
-    assert best.F is not None
-    others = tuple(h.F for h in tried if h is not best and h.F is not None)
-    ready = best.ready
-    odds = ready.evidence.single, ready.evidence.weights
-    return describe_estimate(best.F, H, ready.matches, ready.handed, best.collected, px, others, odds)
 
 
 def _without_fundamental(tried: Sequence[_Hypothesis], best: _Hypothesis, kind: Geometry | None) -> Verdict:

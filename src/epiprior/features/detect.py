@@ -7,11 +7,12 @@ import numpy as np
 
 from epiprior.errors import FeatureError, require
 from epiprior.features.describe import describe_frames
-from epiprior.features.images import Photograph
+from epiprior.features.images import Photograph, View, load_photograph
 from epiprior.presets import FeatureSettings
 from epiprior.types import Features, Float32Array, FloatArray
 
 _MIN_IMAGE_SIDE = 16
+_FEW = 100
 
 
 def detect_features(photograph: Photograph, settings: FeatureSettings | None = None) -> Features:
@@ -69,3 +70,37 @@ def _colmap_sift(photograph: Photograph, settings: FeatureSettings) -> tuple[Flo
     frames[:, :2] -= 0.5
     frames[:, 3] = np.rad2deg(frames[:, 3])
     return frames, np.square(np.asarray(found.data, dtype=np.float32).reshape(-1, 128))
+
+
+def explain_shortage(
+    images: tuple[View | None, View | None],
+    features: tuple[Features | None, Features | None],
+    settings: FeatureSettings,
+) -> str:
+    """Return which of the images have few features, and what may explain it; an empty string where neither has.
+
+    Images and features as handed in; where features are None, they are found again by `settings`.
+    """
+    reasons = []
+    for k, (image, given) in enumerate(zip(images, features, strict=True), start=1):
+        photograph = None if image is None else load_photograph(image, settings.max_image_size)
+        found = detect_features(photograph, settings) if given is None and photograph is not None else given
+        if found is None or len(found) >= _FEW:
+            continue
+        name = (photograph and photograph.name) or f"image {k}"
+        count = f"{name}: {len(found)} features"
+        reasons.append(count if photograph is None else f"{count} {_what_may_explain_few(photograph)}")
+    return "; ".join(reasons)
+
+
+def _what_may_explain_few(photograph: Photograph) -> str:
+    """Return the grey values, the working size, and what to set."""
+    height, width = photograph.grey.shape
+    grey = photograph.pixels()
+    darkest, brightest = int(grey.min()), int(grey.max())
+    facts = f"(darkest {darkest}, brightest {brightest}; worked at {width} x {height})"
+    if darkest == brightest:
+        return f"{facts}: the image is blank"
+    if (width, height) != photograph.size:
+        return f"{facts}: set --max-image-size higher, the image is {photograph.size[0]} x {photograph.size[1]}"
+    return facts

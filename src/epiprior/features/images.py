@@ -141,19 +141,6 @@ def blank_photograph(size: tuple[int, int], max_image_size: int = 1024) -> Photo
     return Photograph(np.broadcast_to(np.uint8(0), (height, width)), size)
 
 
-def describe_photograph(photograph: Photograph) -> str:
-    """Return what may explain few features: the grey values, the working size, and what to set."""
-    height, width = photograph.grey.shape
-    grey = photograph.pixels()
-    darkest, brightest = int(grey.min()), int(grey.max())
-    facts = f"(darkest {darkest}, brightest {brightest}; worked at {width} x {height})"
-    if darkest == brightest:
-        return f"{facts}: the image is blank"
-    if (width, height) != photograph.size:
-        return f"{facts}: set --max-image-size higher, the image is {photograph.size[0]} x {photograph.size[1]}"
-    return facts
-
-
 def is_hidden_copy(name: str) -> bool:
     """Return whether a file of that name is what macOS leaves beside a file, such as ``._x.jpg``: never an image."""
     return name.startswith("._")
@@ -249,7 +236,8 @@ def _visible_in_file(name: str, data: NDArray[np.uint8], grey: NDArray[np.uint8]
     return None
 
 
-def _grey_of_array(image: Any) -> tuple[NDArray[np.uint8], BoolArray | None]:
+def check_pixels(image: Any) -> None:
+    """Raise ImageError unless `image` is uint8 of shape (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, not empty."""
     if not isinstance(image, np.ndarray):
         raise ImageError(f"an image is a path or a uint8 array, not {type(image).__name__}")
     if image.dtype != np.uint8:
@@ -258,6 +246,10 @@ def _grey_of_array(image: Any) -> tuple[NDArray[np.uint8], BoolArray | None]:
         raise ImageError(
             f"the image array has shape {image.shape}, expected (H, W), (H, W, 3) RGB or (H, W, 4) RGBA, not empty"
         )
+
+
+def _grey_of_array(image: Any) -> tuple[NDArray[np.uint8], BoolArray | None]:
+    check_pixels(image)
     visible = image[..., 3] > 0 if image.shape[2:] == (4,) else None
     if image.ndim == 3:
         image = np.asarray(cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_RGB2GRAY), dtype=np.uint8)

@@ -33,10 +33,6 @@ class Locations:
     twins: IntArray  # (N,), features of location l are twins[start[l]:start[l + 1]]
     start: IntArray
 
-    def first_twin(self, features: IntArray) -> IntArray:
-        """Return the first feature at the location of each of some `features`: what matches name it by."""
-        return self.first[self.of_feature[features]]
-
 
 def locate(features: Features, working: Photograph) -> Locations:
     """Group the features of an image; `working` gives its change of coordinates."""

@@ -2,7 +2,6 @@
 
 from epiprior.io.colmap import ColmapPair, write_colmap_database
 from epiprior.io.features import read_colmap_features, read_hloc_features
-from epiprior.io.tables import read_matches, write_matches
+from epiprior.io.tables import write_matches
 
-__all__ = ["ColmapPair", "read_colmap_features", "read_hloc_features", "read_matches", "write_colmap_database"]
-__all__ += ["write_matches"]
+__all__ = ["ColmapPair", "read_colmap_features", "read_hloc_features", "write_colmap_database", "write_matches"]

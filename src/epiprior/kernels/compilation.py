@@ -3,7 +3,6 @@
 import functools
 import logging
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -11,20 +10,21 @@ from numba.core.caching import FunctionCache
 
 logger = logging.getLogger(__name__)
 
-_asked: set[Any] = set()
-
 
 class _OptionalCache(FunctionCache):
     """Numba's cache of one kernel on disk, without which everything works: damaged files are compiled anew."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled kernel; None where there is none, or none that can be read."""
+        """Return the compiled kernel; None where there is none, or none that can be read: it is compiled then."""
+        loaded = None
         try:
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            loaded = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         except Exception as error:  # noqa: BLE001 - whatever a damaged pickle raises
             logger.warning("damaged cache of the compiled kernel %s, compiled anew: %r", self._name, error)
             self._unless_it_fails(self.flush)
-            return None
+        if loaded is None:
+            _announce()
+        return loaded
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled kernel, if that can be."""
@@ -57,27 +57,13 @@ def compiled(function: Callable[..., Any] | None = None, /, **options: Any) -> A
 
 
 @functools.cache  # once per process
+def _announce() -> None:
+    logger.info("compiling kernels: the first call on this machine takes up to a minute")
+
+
+@functools.cache  # once per process
 def _warn_of_no_cache() -> None:
     logger.warning(
         "no folder for compiled kernels can be written: they are compiled anew in every process; "
         "set NUMBA_CACHE_DIR to a folder that can"
     )
-
-
-def announce_compilation(kernel: Any, of: str, wait: str) -> None:
-    """Log at INFO, once per process and kernel, if a compiled kernel is not in numba's cache yet.
-
-    `kernel` stands for all that are compiled along with it, `of` says what they belong to, `wait` how long that takes.
-    """
-    if kernel in _asked:
-        return
-    _asked.add(kernel)
-    if kernel.signatures:
-        return
-    try:
-        module, name = kernel.py_func.__module__.rpartition(".")[2], kernel.py_func.__qualname__
-        cached = any(Path(str(kernel.stats.cache_path)).glob(f"{module}.{name}-*.nbi"))
-    except (AttributeError, TypeError, OSError):
-        cached = False
-    if not cached:
-        logger.info("compiling kernels of %s: the first call on this machine takes %s", of, wait)

@@ -70,7 +70,7 @@ def _look_around(F, columns, prior, local, limit, cumulatives):  # type: ignore[
 
 @compiled
 def run_loop(  # type: ignore[no-untyped-def]
-    columns, frames, prior, cumulative, gain, odds, rest, raw_rest,
+    columns, frames, prior, cumulative, gain, odds, rest,
     kind, sigma, cut, raw_factor,
     oriented, local, local_share, local_growth, mixed_share, skip_planes,
     separations, good_share, log_miss, min_iterations, max_iterations, repeats, state,
@@ -99,7 +99,7 @@ def run_loop(  # type: ignore[no-untyped-def]
         found = -1
         for k in range(count):
             value = score(
-                models[k], columns, odds, raw_rest, kind, sigma * raw_factor, cut * raw_factor, records[mode], work
+                models[k], columns, odds, rest, kind, sigma * raw_factor, cut * raw_factor, records[mode], work
             )
             if value <= records[mode]:
                 continue

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from epiprior.errors import SettingsError
 from epiprior.features.images import View
 from epiprior.matching.pair import PreparedPair, prepare_pair
 from epiprior.matching.standard import mutual_mask, similarity_weights
@@ -12,6 +11,7 @@ from epiprior.presets import DEFAULT, PAPER, FeatureSettings, PreprocessSettings
 from epiprior.types import Features, Float32Array, FloatArray, IntArray, MatchSet
 
 _BLOCK = 512
+_NCC, _CANDIDATES, _RIGHT_SHARE = 0.85, 5, 0.5  # of `generalized_matches`
 
 
 def _unranked(prepared: PreparedPair, rows: IntArray, to: IntArray, similarity: FloatArray) -> MatchSet:
@@ -19,22 +19,17 @@ def _unranked(prepared: PreparedPair, rows: IntArray, to: IntArray, similarity: 
     f1, f2 = prepared.features
     nearest = prepared.forward.nearest[rows] == to
     weights = similarity_weights(prepared.forward, prepared.backward)
-    matches = MatchSet(
-        x1=f1.xy[rows],
-        x2=f2.xy[to],
-        scale1=f1.scale[rows],
-        scale2=f2.scale[to],
+    matches = prepared.matches_of(
+        rows,
+        to,
         orientation1_deg=f1.orientation_deg[rows],
         orientation2_deg=f2.orientation_deg[to],
-        feature1=prepared.locations[0].first_twin(rows),
-        feature2=prepared.locations[1].first_twin(to),
         probability=np.full(len(rows), np.nan),
         supporting_matrices=np.zeros(len(rows), np.int64),
         distance_ratio=np.where(nearest, prepared.forward.distance_ratio[rows], 1.0),
         similarity_weight=np.where(nearest, weights[rows], 0.0),
         similarity=similarity,
         two_keypoint_probability=np.zeros(len(rows)),
-        image_sizes=(f1.image_size, f2.image_size),
     )
     return prepared.as_given(matches)
 
@@ -114,9 +109,6 @@ def generalized_matches(
     image1: View | None,
     image2: View | None,
     *,
-    ncc_threshold: float = 0.85,
-    max_candidates: int = 5,
-    right_share: float = 0.5,
     features: FeatureSettings = PAPER.features,
     features1: Features | None = None,
     features2: Features | None = None,
@@ -124,34 +116,27 @@ def generalized_matches(
     """Return all matches above a similarity, many-to-many, each at a low probability: input of generalised RANSAC.
 
     The method is that of Zhang and Kosecka (Generalized RANSAC framework for relaxed correspondence problems, 3DPVT
-    2006) as the paper sums it up (section 2); how the probabilities are shared is our interpretation.
-
-    Parameters
-    ----------
-    image1, image2, features, features1, features2 : As for `standard_matches`.
-    ncc_threshold : Lowest normalised cross-correlation of two descriptors, in (-1, 1); SettingsError for a number out
-        of its range.
-    max_candidates : Of the candidates of a feature, in either image, only so many, the most similar, are kept, >= 1.
-        This limit is ours: without it two brick walls give millions.
-    right_share : Probability, in (0, 1), that one of a feature's candidates is right; its candidates share it.
+    2006) as the paper sums it up (section 2); how the probabilities are shared is our interpretation. Images and
+    features are as for `standard_matches`.
 
     Returns
     -------
-    Matches of `probability` ``right_share / max(c1, c2)``, where c1 and c2 count the candidates of the two features;
-    sorted by it, then by similarity. `distance_ratio` is 1 except for nearest neighbours.
+    Matches of a normalised cross-correlation of at least 0.85; of the candidates of a feature, in either image, the
+    five most similar (this limit is ours: without it two brick walls give millions). `probability` is ``0.5 / max(c1,
+    c2)``, where c1 and c2 count the candidates of the two features: that one of them is right is even odds. Sorted by
+    it, then by similarity. `distance_ratio` is 1 except for nearest neighbours.
     """
-    if not -1 < ncc_threshold < 1:
-        raise SettingsError(f"ncc_threshold is {ncc_threshold}, expected a number between -1 and 1")
-    if max_candidates < 1:
-        raise SettingsError(f"max_candidates is {max_candidates}, expected at least 1")
-    if not 0 < right_share < 1:
-        raise SettingsError(f"right_share is {right_share}, expected a number between 0 and 1")
     settings = replace(PAPER, features=features)
     prepared = prepare_pair(image1, image2, settings, features1=features1, features2=features2, ordered=True)
-    rows, to, similarity = _candidates(*prepared.descriptors, ncc_threshold, max_candidates)
+    return generalized_set(prepared)
+
+
+def generalized_set(prepared: PreparedPair) -> MatchSet:
+    """Return `generalized_matches` of a pair that was prepared with the paper's descriptors."""
+    rows, to, similarity = _candidates(*prepared.descriptors, _NCC, _CANDIDATES)
     found = _unranked(prepared, rows, to, similarity)
     rivals1, rivals2 = (np.bincount(f, minlength=1)[f] for f in (found.feature1, found.feature2))
-    probability = right_share / np.maximum(rivals1, rivals2)
+    probability = _RIGHT_SHARE / np.maximum(rivals1, rivals2)
     order = np.lexsort((to, rows, -similarity, -probability))
     return replace(found, probability=probability).take(order)
 

@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +15,11 @@ from epiprior.features.detect import detect_features
 from epiprior.features.images import Photograph, View, blank_photograph, load_photograph
 from epiprior.features.locations import Locations, locate
 from epiprior.kernels.parallel import in_threads
-from epiprior.matching.roll import expected_roll, orientation_differences
 from epiprior.matching.standard import Neighbours, StandardTable, mutual_mask, nearest_neighbours, standard_table
 from epiprior.presets import DEFAULT, PreprocessSettings
-from epiprior.types import Features, Float32Array, FloatArray, MatchSet
+from epiprior.types import Features, Float32Array, FloatArray, IntArray, MatchSet
+
+_GRID = 720  # angles at which the density of rolls is computed
 
 
 class Stopwatch:
@@ -60,6 +62,20 @@ class PreparedPair:
     def as_given(self, matches: MatchSet) -> MatchSet:
         """Return matches of this pair with the images in the order as given."""
         return matches.swapped() if self.turned else matches
+
+    def matches_of(self, rows1: IntArray, rows2: IntArray, **columns: Any) -> MatchSet:
+        """Return matches of the features `rows1` of image 1 with `rows2` of image 2; `columns` are all others."""
+        (f1, f2), (place1, place2) = self.features, self.locations
+        return MatchSet(
+            x1=f1.xy[rows1],
+            x2=f2.xy[rows2],
+            scale1=f1.scale[rows1],
+            scale2=f2.scale[rows2],
+            feature1=place1.first[place1.of_feature[rows1]],
+            feature2=place2.first[place2.of_feature[rows2]],
+            image_sizes=(f1.image_size, f2.image_size),
+            **columns,
+        )
 
 
 def prepare_pair(
@@ -144,3 +160,33 @@ def roll_hypotheses(prepared: PreparedPair, settings: PreprocessSettings = DEFAU
     differences = orientation_differences(first.orientation_deg[rows], second.orientation_deg[forward.nearest[rows]])
     expected = expected_roll(differences, settings.roll_bandwidth_deg)
     return (0.0,) if abs(expected) <= settings.merge_rolls_deg and settings.merge_rolls_deg > 0 else (expected, 0.0)
+
+
+def orientation_differences(orientation1_deg: FloatArray, orientation2_deg: FloatArray) -> FloatArray:
+    """Return orientation 2 minus orientation 1, degrees in [0, 360): the roll of image 2 by each match alone."""
+    return np.asarray(np.mod(orientation2_deg - orientation1_deg, 360.0))
+
+
+def roll_density(differences_deg: FloatArray, bandwidth_deg: float = 7.0) -> tuple[FloatArray, FloatArray]:
+    """Return 720 angles in degrees, half a degree apart, and the circular kernel density of the differences there.
+
+    The von Mises kernel has a concentration of one over the squared `bandwidth_deg` in radians. The density is per
+    degree, integrates to 1 over the circle, and is uniform without any match.
+    """
+    angles = np.arange(_GRID, dtype=np.float64) * (360.0 / _GRID)
+    if not len(differences_deg):
+        return angles, np.full(_GRID, 1 / 360.0)
+    histogram = np.bincount(np.rint(differences_deg * (_GRID / 360.0)).astype(np.int64) % _GRID, minlength=_GRID)
+    kernel = np.exp((np.cos(np.deg2rad(angles)) - 1) / np.deg2rad(bandwidth_deg) ** 2)
+    density: FloatArray = np.fft.irfft(np.fft.rfft(histogram) * np.fft.rfft(kernel), _GRID)
+    return angles, density / (density.sum() * 360.0 / _GRID)
+
+
+def expected_roll(differences_deg: FloatArray, bandwidth_deg: float = 7.0) -> float:
+    """Return alpha_exp, the highest peak of `roll_density`, degrees in (-180, 180]; 0 without any match."""
+    if not len(differences_deg):
+        return 0.0
+    angles, density = roll_density(differences_deg, bandwidth_deg)
+    # Rounding keeps the choice between equal peaks independent of the last bits of the transform.
+    peak = float(angles[np.round(density, 12).argmax()])
+    return peak if peak <= 180.0 else peak - 360.0

@@ -17,6 +17,7 @@ import numpy as np
 import onnxruntime
 
 from epiprior.errors import FeatureError, ModelError
+from epiprior.settings_file import find_settings_file
 from epiprior.types import Float32Array, FloatArray
 
 SCHEMA_VERSION = 1
@@ -92,16 +93,11 @@ class RankingModel:
 
 
 def find_model(name: str) -> Path:
-    """Return the folder of a model that comes with epiprior: in the installed package, or in a checkout.
-
-    ModelError if there is none; the message says where it was looked for.
-    """
-    package = Path(__file__).resolve().parents[1]
-    places = (package / "_models" / name, package.parents[1] / "models" / name)
-    for place in places:
-        if name and place.is_dir():
-            return place
-    raise ModelError(f"no model named {name!r}: neither {places[0]} nor {places[1]} is a folder")
+    """Return the folder of a model that comes with epiprior; ModelError if there is none of that name."""
+    found = find_settings_file(name) if name else None
+    if found is None or not found.is_dir():
+        raise ModelError(f"no model named {name!r} comes with epiprior")
+    return found
 
 
 def load_model(name_or_path: str | Path) -> RankingModel:

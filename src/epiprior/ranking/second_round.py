@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from epiprior.geometry import Evidence, as_columns, different_models, sampson_distance
+from epiprior.geometry import SHRINKING_THRESHOLDS_PX, Evidence, as_columns, different_models, sampson_distance
 from epiprior.kernels.local_steps import refine_models
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.presets import SECOND_ROUND_COLUMNS
@@ -24,7 +24,6 @@ _HEAD = 800  # one-to-one matches that choose and refine F
 _REFINED = 40  # so many of the rough matrices are refined
 _KEPT = 3  # so many different ones have a column
 _COARSE_PX, _FINE_PX, _SUPPORT_PX, _FAR_PX = 6.0, 2.0, 3.0, 100.0
-_SHRINKING_PX = np.array([10.0, 8.0, 6.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5])
 _SAME_SHARE = 0.75  # intersection over union of the supporters from which on two F are the same
 _TOP = 100
 
@@ -87,5 +86,5 @@ def _leading_models(matrices: FloatArray, x1: FloatArray, x2: FloatArray, weight
     scores = Evidence(x1, x2, weights).scores(matrices, _COARSE_PX)
     order = np.argsort(-scores, kind="stable")[:_REFINED]
     models = np.ascontiguousarray(matrices[order[scores[order] > 0]])
-    refine_models(models, as_columns(x1, x2), weights, _SHRINKING_PX)
+    refine_models(models, as_columns(x1, x2), weights, np.array(SHRINKING_THRESHOLDS_PX))
     return models

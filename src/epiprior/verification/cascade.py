@@ -10,9 +10,9 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from epiprior.presets import check_settings, in_range
 from epiprior.settings_file import find_settings_file, parse_settings, read_settings_file
 from epiprior.types import FundamentalEstimate, Geometry, Status
-from epiprior.verification.confidence import check_min_confidence
 
 FLAT = (Geometry.PLANAR, Geometry.ROTATION, Geometry.IDENTICAL)
 
@@ -24,10 +24,10 @@ class CascadeRule:
     Where a homography relates the images, the estimate is kept if the confidence in F is at most 1 - c.
     """
 
-    min_confidence: float = 0.9
+    min_confidence: float = in_range(0.0, 1.0, 0.9)
 
     def __post_init__(self) -> None:
-        check_min_confidence(self.min_confidence)
+        check_settings(self)
 
     def keeps(self, estimate: FundamentalEstimate) -> bool:
         """Return whether an estimate on simple matches is kept, so that nothing is preprocessed."""

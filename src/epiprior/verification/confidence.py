@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from epiprior.errors import ModelError, SettingsError
+from epiprior.presets import check_number
 from epiprior.ranking.models import Classifier, find_model, read_classifiers
 from epiprior.types import Geometry, Status
 from epiprior.verification.facts import COLUMNS, Facts
@@ -80,12 +81,6 @@ def judge(facts: Facts, kind: Geometry | None, model: ConfidenceModel, min_confi
     return Verdict(status=Status.NO_MODEL, geometry=Geometry.NONE, confidence=right, message=doubt)
 
 
-def check_min_confidence(value: object) -> None:
-    """Raise SettingsError unless `value` is a number in [0, 1]."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:  # also refuses NaN
-        raise SettingsError(f"min_confidence is {value!r}, expected a number in [0, 1]")
-
-
 @functools.cache
 def load_confidence(folder: Path | None = None) -> ConfidenceModel:
     """Return the model in a folder, by default the one that comes with epiprior; read once.
@@ -99,7 +94,7 @@ def load_confidence(folder: Path | None = None) -> ConfidenceModel:
         raise ModelError(f"{found}: made of facts that this epiprior does not have: {', '.join(unknown)}")
     least = manifest.get("min_confidence")
     try:
-        check_min_confidence(least)
+        check_number("min_confidence", least, 0.0, 1.0)
     except SettingsError as error:
         raise ModelError(f"{found}: {error}") from error
     return ConfidenceModel(manifest, right, flat, float(np.float64(least)))

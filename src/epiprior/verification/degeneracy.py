@@ -17,7 +17,7 @@ from scipy.special import bdtrc
 
 from epiprior.geometry import sampson_distance
 from epiprior.kernels.one_to_one import one_to_one_mask
-from epiprior.types import BoolArray, FloatArray, Geometry, ImageSizes, IntArray
+from epiprior.types import FloatArray, Geometry, ImageSizes, IntArray
 from epiprior.verification.chance import distinct_count, expected_by_chance
 from epiprior.verification.measures import FOCAL_LENGTHS, intrinsics
 
@@ -152,16 +152,13 @@ def parallax_by_chance(F: FloatArray, H: FloatArray, x1: FloatArray, x2: FloatAr
 
 def share_beside_line(x: FloatArray, threshold_px: float) -> float:
     """Return which share of points (N, 2) lies off the line that most of them lie on, if they do; 0 without points."""
-    return float(np.mean(~_near_line(x, x, threshold_px))) if len(x) else 0.0
-
-
-def _near_line(x: FloatArray, support: FloatArray, threshold_px: float) -> BoolArray:
-    """Return which points of `x` lie near the line that most points of `support` lie on, if they do."""
-    u, v = np.ascontiguousarray(support.T)
-    middle = (len(support) - 1) // 2, len(support) // 2
-    near = np.ones(len(support), np.bool_)
+    if not len(x):
+        return 0.0
+    u, v = np.ascontiguousarray(x.T)
+    middle = (len(x) - 1) // 2, len(x) // 2
+    near = np.ones(len(x), np.bool_)
     for _ in range(5):
-        centre = support[near].mean(axis=0)
+        centre = x[near].mean(axis=0)
         a, b = u[near] - centre[0], v[near] - centre[1]
         angle = 0.5 * math.atan2(-2.0 * float(a @ b), float(b @ b) - float(a @ a))
         across = math.cos(angle), math.sin(angle)  # where they vary least: an eigenvector in closed form
@@ -171,7 +168,7 @@ def _near_line(x: FloatArray, support: FloatArray, threshold_px: float) -> BoolA
         before, near = near, distance <= max(threshold_px, median)
         if np.array_equal(before, near):
             break
-    return np.asarray(np.abs((x[:, 0] - centre[0]) * across[0] + (x[:, 1] - centre[1]) * across[1]) < threshold_px)
+    return float(np.mean(~(distance < threshold_px)))
 
 
 def similarity_residuals(x1: FloatArray, x2: FloatArray) -> FloatArray:

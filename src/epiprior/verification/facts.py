@@ -12,13 +12,17 @@ from scipy.spatial import cKDTree
 
 from epiprior.geometry import first_of_equal, sampson_distance
 from epiprior.types import BoolArray, Float32Array, FloatArray, MatchSet
-from epiprior.verification import degeneracy, measures, overlay
+from epiprior.verification import degeneracy
 from epiprior.verification.chance import MATCHES_PER_F, chance_rate, distinct_count, log_chance
+from epiprior.verification.measures import CELL_PX, SpreadEvidence, camera_plausibility
 
 UNKNOWN = -1.0
 _MATCHES_PER_H = 4
 _NEIGHBOURS = 6  # of which a match is its own first
 _TOP = (20, 100)
+_SAME_PX = 1.0
+_RING_PX = (2.0, 5.0)
+_MIN_REPEATED = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,18 +91,16 @@ COLUMNS = tuple(field.name for field in fields(Facts))
 def describe_estimate(
     F: FloatArray,
     H: FloatArray | None,
-    matches: MatchSet,
+    evidence: SpreadEvidence,
     handed: MatchSet,
     collected: MatchSet,
     threshold_px: float,
     others: tuple[FloatArray, ...] = (),
-    odds: tuple[MatchSet, FloatArray] | None = None,
 ) -> Facts:
     """Return the facts of F, shape (3, 3), in working pixels.
 
-    `matches` are those of its roll hypothesis, `handed` and `collected` are as in `Facts`; `H` is the best homography
-    of the supporters (`degeneracy.fit_homography`), `others` are the F of the other roll hypotheses, and `odds` is
-    `measures.weighed_matches` of `matches`, where that is known.
+    `evidence` is of the matches of its roll hypothesis, `handed` and `collected` are as in `Facts`; `H` is the best
+    homography of the supporters (`degeneracy.fit_homography`), `others` are the F of the other roll hypotheses.
     """
     x1, x2 = collected.x1, collected.x2
     distance = sampson_distance(F, x1, x2)
@@ -109,12 +111,12 @@ def describe_estimate(
     total_handed = distinct_count(handed.x1, handed.x2)
     support_handed = distinct_count(handed.x1[first], handed.x2[first])
     rate = chance_rate(F, x1, x2, threshold_px)
-    cells = [len(first_of_equal(np.floor(x / measures.CELL_PX))) for x in (own.x1, own.x2)]
+    cells = [len(first_of_equal(np.floor(x / CELL_PX))) for x in (own.x1, own.x2)]
     extents = [(_side(a), _side(b)) for a, b in ((own.x1, x1), (own.x2, x2))]
     agree = [float(np.mean(sampson_distance(o, own.x1, own.x2) < threshold_px)) for o in others if support]
-    known = measures.camera_plausibility(F[None], matches.image_sizes)[0] if matches.image_sizes else UNKNOWN
+    sizes = evidence.matches.image_sizes
     return Facts(
-        matches=math.log1p(len(matches)),
+        matches=math.log1p(len(evidence.matches)),
         handed=math.log1p(total_handed),
         collected=math.log1p(total),
         support_handed=math.log1p(support_handed),
@@ -134,16 +136,16 @@ def describe_estimate(
         by_chance_handed=log_chance(support_handed, total_handed, rate, MATCHES_PER_F),
         by_chance=log_chance(support, total, rate, MATCHES_PER_F),
         rate=math.log10(max(rate, 1e-9)),
-        **_odds(F, odds or measures.weighed_matches(matches), own, threshold_px),
-        plausibility=float(known),
+        **_odds(F, evidence, own, threshold_px),
+        plausibility=float(camera_plausibility(F[None], sizes)[0]) if sizes else UNKNOWN,
         rolls=1.0 + len(others),
         rolls_agree=max(agree, default=1.0),
         beside_line=min(
             degeneracy.share_beside_line(x, degeneracy.PLANE_FACTOR * threshold_px) for x in (own.x1, own.x2)
         ),
         moved=math.log1p(_median(np.linalg.norm(own.x2 - own.x1, axis=1))),
-        in_place=overlay.share_in_place(own.x1, own.x2),
-        apart=float(np.mean(overlay.apart_from_overlay(x1, x2)[inliers])) if support else 0.0,
+        in_place=share_in_place(own.x1, own.x2),
+        apart=float(np.mean(apart_from_overlay(x1, x2)[inliers])) if support else 0.0,
         **_plane(F, H, collected, inliers, total, threshold_px, rate),
     )
 
@@ -185,9 +187,9 @@ def _local_agreement(own: MatchSet) -> dict[str, float]:
     }
 
 
-def _odds(F: FloatArray, odds: tuple[MatchSet, FloatArray], own: MatchSet, threshold_px: float) -> dict[str, float]:
+def _odds(F: FloatArray, evidence: SpreadEvidence, own: MatchSet, threshold_px: float) -> dict[str, float]:
     """Return what the probabilities of all one-to-one matches say for F, and against it."""
-    single, weights = odds
+    single, weights = evidence.single, evidence.weights
     agrees = sampson_distance(F, single.x1, single.x2) < threshold_px
     known = len(own) > 0 and bool(np.isfinite(own.probability).all())
     total = float(weights.sum())
@@ -236,3 +238,33 @@ def chance_of_homography(support: int, total: int, x2: FloatArray, px: float) ->
     radius = degeneracy.PLANE_FACTOR * px
     rate = min(1.0, math.pi * radius**2 / max(_side(x2) ** 2, 1.0))
     return log_chance(support, total, rate, _MATCHES_PER_H)
+
+
+def share_in_place(x1: FloatArray, x2: FloatArray) -> float:
+    """Return which share of matches (N, 2) stays in place, within 1 px; 0 without matches."""
+    return float(np.mean(np.linalg.norm(x2 - x1, axis=1) <= _SAME_PX)) if len(x1) else 0.0
+
+
+def apart_from_overlay(x1: FloatArray, x2: FloatArray) -> BoolArray:
+    """Return which matches, shape (N, 2), working pixels, lie elsewhere than on an overlay: all, where there is none.
+
+    An overlay does not move with the scene: a watermark, also a tiled one, a time stamp, the bars of a screen. Two
+    unrelated photographs that carry the same match there, feature by feature. Any F of a pure translation explains
+    matches that stay in place, and one along its epipolar lines those from tile to tile; the two numbers that are left
+    are fitted to chance. COLMAP calls such pairs watermarks, where the matches are a translation at the border.
+
+    There is an overlay where at least 3 matches stay in place, within 1 px, and more than are displaced by 2 to 5 px:
+    displacements of a scene are spread out, those of an overlay are not. All displacements that are as frequent and as
+    isolated count as the overlay's. Matches of which both ends lie within 48 px of it say nothing about the scene.
+    """
+    moved = x2 - x1
+    length = np.linalg.norm(moved, axis=1)
+    still = np.count_nonzero(length <= _SAME_PX)
+    around = np.count_nonzero((length > _RING_PX[0]) & (length <= _RING_PX[1]))
+    if still < _MIN_REPEATED or still <= around:
+        return np.ones(len(x1), np.bool_)
+    tree = cKDTree(moved)
+    same, inner, outer = (tree.query_ball_point(moved, px, return_length=True) for px in (_SAME_PX, *_RING_PX))
+    repeated = (same >= _MIN_REPEATED) & (same > outer - inner)
+    overlay = cKDTree(np.vstack([x1[repeated], x2[repeated]]))
+    return np.asarray(np.maximum(overlay.query(x1)[0], overlay.query(x2)[0]) > CELL_PX)

@@ -11,8 +11,11 @@ References: the two equal singular values of an essential matrix (Huang and Faug
 result 9.17). As a soft factor over a range of focal lengths: ours.
 """
 
+from functools import cached_property
+
 import numpy as np
 
+from epiprior.geometry import SCORE_THRESHOLD_PX, Evidence
 from epiprior.types import FloatArray, ImageSizes, IntArray, MatchSet
 
 CELL_PX = 48.0  # the reach of a few features
@@ -64,10 +67,37 @@ def spread_groups(x1: FloatArray, x2: FloatArray) -> IntArray:
     return np.unique(numbers, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
-def weighed_matches(matches: MatchSet) -> tuple[MatchSet, FloatArray]:
-    """Return matches made one-to-one, each feature with its most probable match, and their `match_weights`."""
-    single = matches.one_to_one()
-    return single, match_weights(single, prior_probability(single))
+class SpreadEvidence:
+    """The evidence of matches, each part of the images once.
+
+    Matches are not independent: a window that was taken for its neighbour gives ten that agree with one another, and
+    with every F that agrees with one of them. So matches that lead from one small part of image 1 to one small part of
+    image 2 count once, by the best of them. Many-to-many `matches` are made one-to-one first, `single`: each feature
+    speaks by its most probable match; `prior` are the probabilities of these, `weights` what they are worth
+    (`match_weights`).
+    """
+
+    def __init__(self, matches: MatchSet) -> None:
+        self.matches, self.single = matches, matches.one_to_one()
+        self.prior = prior_probability(self.single)
+        self.weights = match_weights(self.single, self.prior)
+
+    @cached_property
+    def group(self) -> IntArray:
+        """Number of the parts of the images that each match leads from and to, (N,)."""
+        return spread_groups(self.single.x1, self.single.x2)
+
+    @cached_property
+    def _evidence(self) -> Evidence:
+        return Evidence(self.single.x1, self.single.x2, self.weights, self.group)
+
+    def scores(self, models: FloatArray, threshold_px: float = SCORE_THRESHOLD_PX) -> FloatArray:
+        """Return the score of each F (K, 3, 3), shape (K,), >= 0: what the matches say, times its plausibility.
+
+        A match at a Sampson distance of `threshold_px` says nothing. Scores may be compared between roll hypotheses of
+        one pair.
+        """
+        return self._evidence.scores(models, threshold_px) * camera_plausibility(models, self.single.image_sizes)
 
 
 def match_weights(matches: MatchSet, probability: FloatArray) -> FloatArray:

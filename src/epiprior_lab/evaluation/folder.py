@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from epiprior.errors import SettingsError
-from epiprior.estimators.handover import HandOver, find_hand_overs, load_hand_overs
+from epiprior.estimators.handover import FILE, HandOver, load_hand_overs
 from epiprior.ranking.models import find_model
+from epiprior.settings_file import find_settings_file
 from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.evaluate import evaluate
 from epiprior_lab.evaluation.protocol import Protocol
@@ -42,7 +43,7 @@ def evaluate_folder(
     hand_overs = {e: {n: HandOver() if n == "snn" else chosen[e][n] for n in names} for e, names in inputs.items()}
     protocol = Protocol(inputs=inputs, seeds=tuple(range(seeds)), hand_overs=hand_overs)
     model = sorted(path for path in find_model("default").iterdir() if path.is_file())
-    found = find_hand_overs()
+    found = find_settings_file(FILE)
     files, workers = (*model, *(() if found is None else (found,))), default_workers()
     parts = []
     for root in find_sets(folder, sets):

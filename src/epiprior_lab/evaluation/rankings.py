@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from epiprior.kernels.one_to_one import one_to_one_mask
-from epiprior.matching.roll import expected_roll, orientation_differences
+from epiprior.matching.pair import expected_roll, orientation_differences
 from epiprior.types import BoolArray, IntArray, MatchSet
 from epiprior_lab.evaluation.inputs import PRESETS, MatchFiles
 from epiprior_lab.evaluation.records import RANKS, CalibrationRecord, PairRecord, RankingRecord, Record

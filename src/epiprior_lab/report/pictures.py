@@ -12,7 +12,7 @@ from epiprior.draw.captions import Picture, draw_label
 from epiprior.draw.pictures import DrawSettings, draw_matches
 from epiprior.features.images import read_image
 from epiprior.matching.baselines import standard_matches
-from epiprior.matching.roll import orientation_differences, roll_density
+from epiprior.matching.pair import orientation_differences, roll_density
 from epiprior.rank import rank_matches
 from epiprior.two_view import estimate_fundamental
 from epiprior.types import FloatArray, FundamentalEstimate, MatchSet

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from epiprior.estimators.handover import HandOver, default_hand_over, hand_over
-from epiprior.estimators.run import best_fundamental
+from epiprior.estimators.run import solve
 from epiprior.types import FloatArray
 from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
 from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches, store_matches
@@ -113,10 +113,9 @@ def candidate_errors(
     for how in hows:
         same = _effect(read, name, how)
         if same not in found:
-            runs = each_run(
-                best_fundamental, read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs={name: how}
-            )
-            found[same] = [np.nan if F is None else float(errors_px(F, *points).mean()) for _, _, F in runs]
+            runs = each_run(solve, read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs={name: how})
+            matrices = [solution.F for _, _, solution in runs]
+            found[same] = [np.nan if F is None else float(errors_px(F, *points).mean()) for F in matrices]
         errors.append(found[same])
     return np.array(errors, np.float64)
 

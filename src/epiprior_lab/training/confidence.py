@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epiprior.estimators.run import describe_from_matches
+from epiprior.estimators.run import solve
 from epiprior.types import BoolArray, Float32Array
 from epiprior.verification.confidence import CONFIDENCE_TARGETS
 from epiprior.verification.facts import COLUMNS, UNKNOWN
@@ -57,7 +57,7 @@ def case_facts(
     *, case: KindCase, inputs: Mapping[str, Sequence[str]], hand_overs: HandOvers, success_px: float
 ) -> CaseFacts:
     """Return the facts of all estimates that gave an F."""
-    _, runs = case_runs(describe_from_matches, case, inputs, hand_overs)
+    _, runs = case_runs(solve, case, inputs, hand_overs)
     points = None if case.pair is None else case.pair.control_points()
     rows, right = [], []
     for _, _, found in runs:

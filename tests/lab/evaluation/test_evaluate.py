@@ -9,7 +9,7 @@ import pytest
 
 from calls import note_calls
 from epiprior.estimators.handover import HandOver, load_hand_overs
-from epiprior.estimators.run import best_fundamental, estimate_from_matches
+from epiprior.estimators.run import estimate_from_matches, solve
 from epiprior.features.detect import FeatureSettings
 from epiprior.geometry import sampson_distance
 from epiprior.matching.baselines import snn_matches
@@ -103,7 +103,7 @@ def test_f_without_its_verification_is_the_same(pairs, tiny_model):
     for name, how in (("standard", HandOver(refine=True)), ("default", HandOver(collect=True, top_k=300))):
         for estimator in ("usac", "epiprior"):
             settings = {"estimator": estimator, "seed": 3, "hand_over": how, "pixel_factors": (2.0, 1.5)}
-            found = best_fundamental(matches.sets[name], **settings)
+            found = solve(matches.sets[name], **settings).F
             np.testing.assert_array_equal(found, estimate_from_matches(matches.sets[name], **settings).F)
 
 

@@ -38,11 +38,11 @@ def search(monkeypatch):
     pairs = [SimpleNamespace(pair_id=f"pair-{k}", files=(), control_points=lambda: points) for k in range(2)]
 
     def run(error):
-        def best_fundamental(sets, *, estimator, hand_over, **_):
+        def solve(sets, *, estimator, hand_over, **_):
             calls.append((estimator, hand_over))
-            return error(estimator, hand_over)
+            return SimpleNamespace(F=error(estimator, hand_over))
 
-        monkeypatch.setattr(hand_over_search, "best_fundamental", best_fundamental)
+        monkeypatch.setattr(hand_over_search, "solve", solve)
         return hand_over_search.search_hand_overs(pairs, inputs=SEARCHED, params=PARAMS, files=(), store=Path())
 
     for name, fake in {
@@ -136,7 +136,7 @@ def test_equal_matches_are_estimated_once(pairs, monkeypatch, tmp_path):
     how = HandOver(max_distance_ratio=0.9, threshold_px=1.0)
     changes = ({}, {"max_distance_ratio": None}, {"top_k": 10_000}, {"top_k": 50}, {"threshold_px": 2.0})
     hows = [replace(how, **change) for change in changes]  # the first three hand over the same
-    calls = note_calls(monkeypatch, hand_over_search, "best_fundamental")
+    calls = note_calls(monkeypatch, hand_over_search, "solve")
     tried = {"pair": pairs[0], "matches": files.only(("snn",)), "place": ("usac", "snn"), "hows": hows, "seeds": (0, 1)}
     got = hand_over_search.candidate_errors(**tried)
     assert [options["seed"] for _, options in calls] == [child_seed(seed, "relief-0") for seed in (0, 1)] * 3
