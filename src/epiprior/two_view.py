@@ -108,7 +108,7 @@ def estimate_fundamental(
             min_confidence=min_confidence,
             intrinsics=intrinsics,
         )
-        calibrated = result.calibrated and replace(result.calibrated, input=kind)
+        calibrated = None if result.calibrated is None else replace(result.calibrated, input=kind)
         message = result.message
         if result.status is Status.TOO_FEW_MATCHES:
             why = explain_shortage((image1, image2), (features1, features2), chosen.features)

@@ -260,7 +260,8 @@ class FundamentalEstimate:
     def swapped(self) -> FundamentalEstimate:
         """Return the same with the two images in the other order."""
         F, E = (None if M is None else np.ascontiguousarray(M.T) for M in (self.F, self.E))
-        calibrated, H = self.calibrated and self.calibrated.swapped(), self.H
+        calibrated = None if self.calibrated is None else self.calibrated.swapped()
+        H = self.H
         if H is not None:
             back: FloatArray = np.linalg.inv(H).astype(np.float64)
             H = back / np.linalg.norm(back)

@@ -51,10 +51,12 @@ def test_the_rest_of_an_estimate_is_as_without_and_transposes():
             np.testing.assert_array_equal(getattr(plain, field.name), getattr(known, field.name))
     other = Intrinsics(K=np.diag([0.5, 0.5, 1]) @ K)
     large = replace(pair.matches, x2=pair.matches.x2 / 2)
-    there = estimate(large, (KNOWN, other), pixel_factors=(1.0, 0.5)).calibrated
-    back = estimate(large.swapped(), (other, KNOWN), pixel_factors=(0.5, 1.0)).calibrated.swapped()
-    np.testing.assert_array_equal(there.F, back.F)
-    np.testing.assert_array_equal(there.E, back.E)
+    for least in (None, 1.0):  # sure, and not
+        how = {"min_confidence": least, "pixel_factors": (1.0, 0.5)}
+        there = estimate(large, (KNOWN, other), **how).calibrated
+        back = estimate(large.swapped(), (other, KNOWN), **how | {"pixel_factors": (0.5, 1.0)}).calibrated.swapped()
+        for name in ("F", "E", "x1", "x2"):
+            np.testing.assert_array_equal(getattr(there, name), getattr(back, name))
     np.testing.assert_allclose(there.E, known.calibrated.E, atol=1e-6)
     assert there.swapped().swapped().E is not None
 

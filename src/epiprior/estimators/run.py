@@ -158,7 +158,7 @@ def estimate_from_matches(
     if intrinsics and estimate.confidence >= WORTH and estimate.geometry not in FLAT:
         found = [_answer(one, estimator, min_confidence, E) for E, one in _under(intrinsics, solution, seed)]
         surest = max(found, key=lambda one: one.confidence, default=None)
-        if surest:
+        if surest is not None:
             estimate = replace(estimate, calibrated=replace(surest, x1=estimate.x1, x2=estimate.x2))
     running = sum(hypothesis.found.seconds for hypothesis in solution.tried)
     spent = time.perf_counter() - start + (solution.ready.seconds if solution.ready is sets else 0.0)
