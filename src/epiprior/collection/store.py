@@ -55,7 +55,8 @@ class PairStore:
     def __init__(self, path: Path) -> None:
         self.path = path
         with self._told():
-            self._opened = sqlite3.connect(path, isolation_level=None)
+            # One thread at a time uses it, but a collection that is collected as garbage is closed by any.
+            self._opened = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             self._opened.execute("PRAGMA synchronous = OFF")  # a kill leaves whole rows; only a power cut may not
             kept = ", ".join(row[1] for row in self._opened.execute("PRAGMA table_info(pairs)"))
             if kept and kept != _COLUMNS:  # of another version, whose keys are others too
