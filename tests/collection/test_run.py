@@ -15,6 +15,7 @@ import epiprior
 from calls import note_calls
 from collections_fakes import MATCHES, FakeEstimation, in_this_process, rows_of, small_images, views
 from epiprior import EstimatorError, OutputError, SettingsError, Status, match_collection
+from epiprior.collection import match
 from epiprior.collection.features import make_features, read_features
 from epiprior.collection.images import find_images
 from epiprior.collection.store import MatchedPair, PairStore
@@ -22,6 +23,7 @@ from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.geometry import sampson_distance
 from epiprior.presets import DEFAULT
+from epiprior.verification.cascade import CascadeRule
 from pictures import relief_pair, rotated, save
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -57,6 +59,31 @@ def test_simple_matches_of_an_f_are_joined_by_those_along_its_lines(tmp_path):
     x1, x2 = (found.features(place).xy[rows].astype(float) for place, rows in enumerate(pair.matches.T))
     assert sampson_distance(pair.F, x1, x2).max() < 2.0
     assert all(len(np.unique(rows)) == len(rows) for rows in pair.matches.T)
+
+
+def test_the_largest_features_are_tried_first(tmp_path, monkeypatch):
+    images = find_images(views(tmp_path / "set", 2)).images
+    files = tmp_path / "1", tmp_path / "2"
+    for file, image in zip(files, images, strict=True):
+        file.write_bytes(make_features(image, DEFAULT.features))
+    for module in ("epiprior.collection.match", "epiprior.two_view"):
+        monkeypatch.setattr(f"{module}.load_cascade_rule", lambda: CascadeRule(min_confidence=0.8))
+    counts, scales = [], [read_features(file).features.scale for file in files]
+
+    def matched(largest):
+        monkeypatch.setattr(match, "LARGEST", largest)
+        pair, _ = match.match_pair(tuple(images), files, match.MatchSettings(settings=DEFAULT))
+        counts.append(len(pair.matches))
+        return pair
+
+    few = matched(len(scales[0]) // 2)
+    kept = few.matches[: len(few.matches) - few.guided]
+    assert 20 < len(kept) < few.guided
+    assert all((scale[rows] >= np.median(scale)).all() for scale, rows in zip(scales, kept.T, strict=True))
+    whole, again = matched(100_000), matched(20)  # of so few no F is kept
+    np.testing.assert_array_equal(whole.matches, again.matches)
+    assert whole.guided < few.guided
+    assert counts[0] > 0.9 * counts[1]
 
 
 def test_what_is_ready_is_not_made_again(tmp_path, monkeypatch):

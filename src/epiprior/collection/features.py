@@ -7,6 +7,7 @@ depend on. A pair then decodes a photograph only under another roll hypothesis.
 import hashlib
 import io
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,13 @@ class StoredFeatures:
     features: Features
     fixed: Float32Array | None  # (L, 128), descriptors of its locations at the roll hypothesis 0
 
+    @cached_property
+    def first_rows(self) -> IntArray:
+        """For each feature, (N,), the first at the very same place (float32): the keypoint that matches name."""
+        xy = self.features.xy.astype(np.float32)
+        _, first, inverse = np.unique(xy, axis=0, return_index=True, return_inverse=True)
+        return np.asarray(first[inverse.reshape(-1)], dtype=np.int64)
+
     def view(self, image: CollectionImage, settings: FeatureSettings) -> Photograph | None:
         """Return the photograph, not decoded; it remembers its descriptors at the roll hypothesis 0."""
         if self.fixed is None:
@@ -105,9 +113,3 @@ def read_features(path: Path) -> StoredFeatures:
     size = tuple(columns.pop("size").tolist())
     features = Features(image_size=size, **columns)
     return StoredFeatures(features=features, fixed=None if fixed is None else fixed.astype(np.float32))
-
-
-def first_rows(features: Features) -> IntArray:
-    """Return for each feature, (N,), the first at the very same place (float32): the keypoint that matches name."""
-    _, first, inverse = np.unique(features.xy.astype(np.float32), axis=0, return_index=True, return_inverse=True)
-    return np.asarray(first[inverse.reshape(-1)], dtype=np.int64)

@@ -19,31 +19,51 @@ MAX_ANGLE = 0.7  # radians, between descriptors; both limits are COLMAP's
 
 
 @compiled
-def _similar_on_lines(F, x1, x2, d1, d2, limit_sq):  # type: ignore[no-untyped-def]
-    """Return the pairs of features below a squared Sampson distance, ascending, and their similarities."""
+def _similar_on_lines(F, x1, x2, d1, d2, limit_sq, order, first, last):  # type: ignore[no-untyped-def]
+    """Return the pairs of features below a squared Sampson distance, and their similarities.
+
+    Each feature of image 1 is compared with those of its band in image 2: places ``first`` to ``last`` of `order`.
+    """
     f0, f1, f2 = F[0, 0], F[0, 1], F[0, 2]
     f3, f4, f5 = F[1, 0], F[1, 1], F[1, 2]
     f6, f7, f8 = F[2, 0], F[2, 1], F[2, 2]
     found, similarity = np.empty((32 * len(x1) + len(x2), 2), np.int64), np.empty(32 * len(x1) + len(x2), np.float32)
-    u, v, inside = x2[:, 0].copy(), x2[:, 1].copy(), np.empty(len(x2), np.bool_)
-    near = np.empty(len(x2), np.int64)
-    total = 0
+    u, v, inside, total = x2[order, 0], x2[order, 1], np.empty(len(order), np.bool_), 0
     for i in range(len(x1)):
-        x, y, count = x1[i, 0], x1[i, 1], 0
-        for j in range(len(u)):  # vector instructions
-            e, g = residual(f0, f1, f2, f3, f4, f5, f6, f7, f8, x, y, u[j], v[j])
-            inside[j] = e * e < limit_sq * g
-        for j in range(len(u)):
-            if inside[j]:
-                near[count] = j
-                count += 1
-        if total + count > len(similarity):
+        x, y = x1[i, 0], x1[i, 1]
+        for k in range(first[i], last[i]):  # vector instructions
+            e, g = residual(f0, f1, f2, f3, f4, f5, f6, f7, f8, x, y, u[k], v[k])
+            inside[k] = e * e < limit_sq * g
+        if total + last[i] - first[i] > len(similarity):
             found = np.concatenate((found, np.empty_like(found)))
             similarity = np.concatenate((similarity, np.empty_like(similarity)))
-        for j in near[:count]:
-            found[total, 0], found[total, 1], similarity[total] = i, j, inner_product(d1[i], d2[j])
-            total += 1
+        for k in range(first[i], last[i]):
+            if inside[k]:
+                found[total, 0], found[total, 1] = i, order[k]
+                similarity[total] = inner_product(d1[i], d2[order[k]])
+                total += 1
     return found[:total], similarity[:total]
+
+
+def _bands(F: FloatArray, x1: FloatArray, x2: FloatArray, limit_sq: float) -> tuple[IntArray, IntArray, IntArray]:
+    """Return features of image 2 as their epipolar lines turn, and where the band of each of image 1 begins and ends.
+
+    ``x2' F x1`` is an inner product of two vectors of the plane, by the singular vectors of F: the direction of the one
+    tells the epipolar line of a feature of image 2, and it vanishes at a right angle. A band holds all features whose
+    squared Sampson distance may be below the limit.
+    """
+    U, S, V = np.linalg.svd(F)
+    X1, X2 = (np.column_stack([x, np.ones(len(x))]) for x in (x1, x2))
+    p, q = X2 @ U[:, :2] * S[:2], X1 @ V[:2].T
+    turn, across = (np.mod(np.arctan2(y, x), np.pi) for x, y in (p.T, (-q[:, 1], q[:, 0])))
+    size1, size2 = np.maximum((q**2).sum(axis=1), 1e-300), np.maximum((p**2).sum(axis=1), 1e-300)
+    gradient1, gradient2 = ((X1 @ F.T)[:, :2] ** 2).sum(axis=1), ((X2 @ F)[:, :2] ** 2).sum(axis=1)
+    most = limit_sq * (gradient1 * (1 / size2).max(initial=0.0) + (gradient2 / size2).max(initial=0.0)) / size1
+    half = np.arcsin(np.sqrt(np.minimum(most, 1.0))) + 1e-9
+    order = np.argsort(turn, kind="stable")
+    turns = np.concatenate([turn[order] - np.pi, turn[order], turn[order] + np.pi])
+    first, last = np.searchsorted(turns, across - half), np.searchsorted(turns, across + half)
+    return np.tile(order, 3), first, np.minimum(last, first + len(order))
 
 
 @compiled
@@ -75,7 +95,9 @@ def guided_matches(
     x1, x2 = (side.xy.astype(np.float64) / factor for side, factor in zip(sides, factors, strict=True))
     D1, D2 = (np.diag([factor, factor, 1.0]) for factor in factors)
     scaled = D2 @ F @ D1
-    found, similarity = _similar_on_lines(scaled / np.linalg.norm(scaled), x1, x2, d1, d2, threshold_px**2)
+    scaled /= np.linalg.norm(scaled)
+    bands = _bands(scaled, x1, x2, threshold_px**2)
+    found, similarity = _similar_on_lines(scaled, x1, x2, d1, d2, threshold_px**2, *bands)
     (first1, place1), (first2, place2) = (unique_locations(side) for side in sides)
     nearest1, angle1, ratio1 = _nearest(found[:, 0], found[:, 1], place2, similarity, len(features1))
     nearest2, _, ratio2 = _nearest(found[:, 1], found[:, 0], place1, similarity, len(features2))
