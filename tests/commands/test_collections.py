@@ -21,6 +21,7 @@ from epiprior.presets import find_preset
 from feature_files import extract_colmap, hloc_parts, write_h5
 
 pycolmap = pytest.importorskip("pycolmap")
+_PARAMS = ("--camera-params=600,240,150,0",)
 
 
 @pytest.fixture
@@ -89,6 +90,24 @@ def test_a_mapper_that_crashes_is_asked_again(tmp_path, monkeypatch, caplog):
     seeds.clear()
     with pytest.raises(WorkerLostError, match=r"a\.db is complete"):
         map_beside(tmp_path / "a.db", tmp_path, tmp_path / "sparse", 5)
+
+
+@pytest.mark.parametrize(
+    ("options", "exif", "refine"), [((), False, "always"), ((), True, "last"), (_PARAMS, True, "never")]
+)
+def test_focal_lengths_that_are_known_stay(estimation, images, tmp_path, monkeypatch, options, exif, refine):
+    infer = pycolmap.infer_camera_from_image
+
+    def inferred(*arguments):
+        camera = infer(*arguments)
+        camera.has_prior_focal_length = exif
+        return camera
+
+    mapping = []
+    monkeypatch.setattr(pycolmap, "infer_camera_from_image", inferred)
+    monkeypatch.setattr("epiprior.collection.model.map_beside", lambda *call: mapping.append(call) or [])
+    assert run("sfm", images, "--out", tmp_path / "scene", *options).exit_code == 1
+    assert mapping[0][-1] == refine
 
 
 def test_without_geometry_or_model_it_is_said_why(images, tmp_path, monkeypatch):

@@ -85,7 +85,10 @@ def sfm(
     count = write_database(database, matched, cameras, min_confidence)
     say(f"{database}: {count} of {len(matched)} pairs have a geometry")
     _logger.info("mapping")
-    models = map_beside(database, found.root, out / "sparse", seed)
+    known = all(camera.has_prior_focal_length for _, camera in cameras)
+    models = map_beside(
+        database, found.root, out / "sparse", seed, "never" if camera_params else "last" if known else "always"
+    )
     write_report(out / "report.html", matched, models, min_confidence)
     for model in models:
         say(f"{model.folder}: {len(model.seen)} of {len(found.images)} images, {len(model.points)} points")
