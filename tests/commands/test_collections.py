@@ -21,7 +21,6 @@ from epiprior.presets import find_preset
 from feature_files import extract_colmap, hloc_parts, write_h5
 
 pycolmap = pytest.importorskip("pycolmap")
-_PARAMS = ("--camera-params=600,240,150,0",)
 
 
 @pytest.fixture
@@ -77,7 +76,8 @@ def test_a_mapper_that_crashes_is_asked_again(tmp_path, monkeypatch, caplog):
     seeds = []
 
     def crash_once(pool, function, jobs):
-        seeds.append(function.keywords["seed"])
+        ((_, (*_, seed, _)),) = jobs
+        seeds.append(seed)
         if len(seeds) < 2:
             raise WorkerLostError("as the test wants")
         return [(0, [])]
@@ -92,22 +92,20 @@ def test_a_mapper_that_crashes_is_asked_again(tmp_path, monkeypatch, caplog):
         map_beside(tmp_path / "a.db", tmp_path, tmp_path / "sparse", 5)
 
 
-@pytest.mark.parametrize(
-    ("options", "exif", "refine"), [((), False, "always"), ((), True, "last"), (_PARAMS, True, "never")]
-)
-def test_focal_lengths_that_are_known_stay(estimation, images, tmp_path, monkeypatch, options, exif, refine):
-    infer = pycolmap.infer_camera_from_image
-
-    def inferred(*arguments):
-        camera = infer(*arguments)
-        camera.has_prior_focal_length = exif
-        return camera
+@pytest.mark.parametrize(("given", "trusted"), [(True, True), (True, False), (False, True)])
+def test_given_focal_lengths_stay_unless_pairs_contradict(estimation, images, tmp_path, monkeypatch, given, trusted):
+    def mapped(database, *_, refine):
+        with pycolmap.Database.open(database) as opened:
+            mapping.append((refine, {camera.has_prior_focal_length for camera in opened.read_all_cameras()}))
+        return []
 
     mapping = []
-    monkeypatch.setattr(pycolmap, "infer_camera_from_image", inferred)
-    monkeypatch.setattr("epiprior.collection.model.map_beside", lambda *call: mapping.append(call) or [])
+    for module in ("collection.verify", "collection.database"):
+        monkeypatch.setattr(f"epiprior.{module}.trusts_focal_lengths", lambda *_: trusted)
+    monkeypatch.setattr("epiprior.collection.model.map_beside", mapped)
+    options = ["--camera-params=600,240,150,0"] if given else []
     assert run("sfm", images, "--out", tmp_path / "scene", *options).exit_code == 1
-    assert mapping[0][-1] == refine
+    assert mapping == [(not (given and trusted), {given and trusted})]
 
 
 def test_without_geometry_or_model_it_is_said_why(images, tmp_path, monkeypatch):

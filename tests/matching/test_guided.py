@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from epiprior.features.describe import normalise_descriptors
-from epiprior.geometry import sampson_distance
-from epiprior.matching.guided import MAX_ANGLE, MAX_DISTANCE_RATIO, guided_matches
+from epiprior.geometry import normalise_fundamental, sampson_distance
+from epiprior.matching.guided import MAX_ANGLE, MAX_DISTANCE_RATIO, _bands, guided_matches
 from epiprior.types import Features
-from synthetic import make_pair
+from synthetic import make_pair, skew
 
 PX = 3.0
 
@@ -59,6 +59,25 @@ def test_matches_are_those_of_the_slow_way(seed):
     assert len(expected) > 30
     ratios = [expected[tuple(row)] for row in found.tolist()]
     assert (np.diff(ratios) > -1e-4).all()
+
+
+@pytest.mark.parametrize(
+    "epipole", [(-4000.0, 300.0), (500.0, 9000.0), (1400.0, 380.0), (512.0, 384.0), "on a feature"]
+)
+def test_bands_hold_all_that_is_near_a_line(epipole):
+    rng = np.random.default_rng(0)
+    x1, x2 = (rng.uniform((0, 0), (1024, 768), (n, 2)) for n in (150, 400))
+    at = x2[0] if epipole == "on a feature" else np.array(epipole)
+    H = np.array([[1.02, 0.03, 20.0], [-0.02, 0.97, -15.0], [2e-5, -1e-5, 1.0]])
+    F = normalise_fundamental(skew([*at, 1.0]) @ H)
+    order, first, last = _bands(F, x1, x2, PX**2)
+    widths = last - first
+    for i, x in enumerate(x1):
+        band = order[first[i] : last[i]].tolist()
+        assert len(set(band)) == len(band)
+        assert set(np.flatnonzero(sampson_distance(F, np.tile(x, (400, 1)), x2) < PX).tolist()) <= set(band)
+    if max(np.abs(at)) > 2000:
+        assert widths.mean() < 0.05 * 400
 
 
 def test_what_repeats_in_the_image_does_not_repeat_on_the_line():

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from epiprior.collection.images import ImageSet, known_images
 from epiprior.collection.run import MatchedCollection
-from epiprior.collection.verify import judge_pairs
+from epiprior.collection.verify import judge_pairs, trusts_focal_lengths
 from epiprior.errors import FeatureError, ImageError, SettingsError, require
 from epiprior.io.colmap import add_camera, add_image, add_pair, check_colmap_output, writable
 from epiprior.io.features import read_colmap_features
@@ -73,9 +73,11 @@ def infer_cameras(images: ImageSet, how: CameraSettings) -> list[tuple[str, Any]
 def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tuple[str, Any]], least: float) -> int:
     """Write a new database; return how many pairs have a geometry of at least the confidence `least`.
 
-    OutputError if it exists, also if it was made meanwhile, or cannot be written; the file appears as a whole.
+    Focal lengths that pairs contradict are not written as prior ones. OutputError if it exists, also if it was made
+    meanwhile, or cannot be written; the file appears as a whole.
     """
     pycolmap = check_colmap_output(path)
+    trusted = trusts_focal_lengths(matched, least)
     with replacing(path) as scratch:
         with writable(path, scratch) as database:
             numbers: dict[str, int] = {}
@@ -83,6 +85,7 @@ def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tup
             with pycolmap.DatabaseTransaction(database):
                 for place, (image, (first, camera)) in enumerate(zip(matched.images.images, cameras, strict=True)):
                     if first not in numbers:
+                        camera.has_prior_focal_length &= trusted
                         numbers[first] = add_camera(database, camera)
                     ids[image.name] = add_image(database, image.name, numbers[first], matched.features(place).xy)
             count = _add_pairs(database, matched, ids, least)

@@ -65,11 +65,11 @@ def match_pair(
     """
     start = time.perf_counter()
     stored = _read(files[0]), _read(files[1])
-    view1, view2 = (one.view(image, how.settings.features) for one, image in zip(stored, images, strict=True))
     both = stored[0].features, stored[1].features
     known = None if cameras is None else (intrinsics_of(cameras[0]), intrinsics_of(cameras[1]))
     found = _of_largest(both, how, known) if how.mode == "cascade" else None
     if found is None:
+        view1, view2 = (one.view(image, how.settings.features) for one, image in zip(stored, images, strict=True))
         found = estimate_fundamental(view1, view2, features1=both[0], features2=both[1], intrinsics=known, **vars(how))
     plain = _gather(images, stored, found, how, start)
     if known is None or found.calibrated is None:
@@ -80,9 +80,10 @@ def match_pair(
 def _of_largest(
     features: tuple[Features, Features], how: MatchSettings, intrinsics: tuple[Intrinsics, Intrinsics] | None
 ) -> FundamentalEstimate | None:
-    """Return the F of simple matches of the largest features, in a quarter of the time; None unless it is kept.
+    """Estimate F on simple matches of the largest features; None unless the rule of the cascade keeps it.
 
-    The largest ones are few and come again in other photographs (Wu, 3DV 2013); the others are gathered by F.
+    Large features are few, and are often found again in other photographs (Wu, 3DV 2013). Under known intrinsics the
+    estimate under these has to be kept as well.
     """
     if max(map(len, features)) <= LARGEST:
         return None
@@ -97,10 +98,10 @@ def _of_largest(
         pixel_factors=_factors(features, how.settings),
         intrinsics=intrinsics,
     )
-    if not found or not load_cascade_rule().keeps(found):
+    calibrated, rule = found.calibrated, load_cascade_rule()
+    if not found or not all(rule.keeps(one) for one in (found, calibrated) if one is not None):
         return None
-    calibrated = None if found.calibrated is None else replace(found.calibrated, input="snn")
-    return replace(found, input="snn", calibrated=calibrated)
+    return replace(found, input="snn", calibrated=None if calibrated is None else replace(calibrated, input="snn"))
 
 
 def _factors(features: tuple[Features, Features], settings: PreprocessSettings) -> tuple[float, float]:

@@ -4,24 +4,23 @@ import logging
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from epiprior.collection.workers import WorkerLostError, open_pool, run_tasks
+from epiprior.collection.workers import WorkerError, WorkerLostError, open_pool, run_tasks
 from epiprior.io.colmap import quiet
 from epiprior.types import FloatArray
 
 logger = logging.getLogger(__name__)
 _TRIES = 3
-_DETERMINED = 4  # images, of which one bundle adjustment determines intrinsics that are nearly known
-_FOCAL_RATIOS = (0.3, 5.0)  # of a focal length to the longer side of its image: beyond, it has drifted
-Refine = Literal["always", "last", "never"]
+_LEAST_IMAGES = 4  # whose intrinsics one bundle adjustment refines, where they are nearly known
+_FOCAL_RATIOS = (0.3, 5.0)  # of a focal length to the longer side of its image, which few lenses leave
+_SHARE_BEYOND = 0.2  # of the unknown cameras: from it on a model has drifted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,110 +35,137 @@ class Model:
     colours: NDArray[np.uint8]  # (P, 3), RGB
     tracks: Mapping[int, int]  # how many points are seen by how many images
     error_px: float  # mean reprojection error
+    drifted: bool = False  # whether its focal lengths are not to be believed
 
 
-def map_beside(database: Path, image_root: Path, out: Path, seed: int, refine: Refine = "always") -> list[Model]:
+def map_beside(database: Path, image_root: Path, out: Path, seed: int, *, refine: bool = True) -> list[Model]:
     """Do what `map_database` does in a process of its own, again with the next seed where the mapper crashes.
 
     pycolmap 4.2 does so once in a while where photographs share a camera of unknown focal length. WorkerLostError if it
     does three times.
     """
+
+    def run(mapping: Callable[..., list[Model]], *rest: Any) -> list[Model]:
+        with open_pool(1) as pool:
+            ((_, found),) = run_tasks(pool, mapping, [(0, (database, image_root, out, number, *rest))])
+        return list(found)
+
     for number in range(seed, seed + _TRIES):
         try:
-            with open_pool(1) as pool:
-                mapping = partial(map_database, seed=number, refine=refine)
-                (models,) = (found for _, found in run_tasks(pool, mapping, [(0, (database, image_root, out))]))
-            return list(models)
+            models = run(map_once, refine)
+            break
         except WorkerLostError:
             logger.warning("COLMAP's mapper crashed, or was killed, with seed %s", number)
-    raise WorkerLostError(f"COLMAP's mapper crashed {_TRIES} times; {database} is complete: map it in another way")
+    else:
+        raise WorkerLostError(f"COLMAP's mapper crashed {_TRIES} times; {database} is complete: map it in another way")
+    try:
+        return run(map_again, models) if models and models[0].drifted else models
+    except WorkerError as error:
+        logger.warning("the model with focal lengths from pairs failed: %s", error)
+        return models
 
 
-def map_database(
-    database: Path, image_root: Path, out: Path, *, seed: int = 0, refine: Refine = "always"
-) -> list[Model]:
+def map_database(database: Path, image_root: Path, out: Path, *, seed: int = 0, refine: bool = True) -> list[Model]:
     """Map a database; return its models, the one with most images first, none where nothing could be mapped.
 
     `out` is made anew: a folder ``0``, ``1``, ... for each model. One thread and a fixed seed give the same bytes.
-    Intrinsics are refined while the model grows (``always``), by one bundle adjustment of a model of four or more
-    images (``last``), or ``never``. Few photographs determine no focal length: where one has drifted to what no lens
-    has, all is mapped again by those that the fundamental matrices tell, which are refined last.
+    Without `refine` the intrinsics of the cameras stay as they are. With it, cameras with a prior focal length stay
+    while the model grows; if all have one, they are refined last. Few photographs do not determine a focal length: if
+    those of the largest model end beyond what lenses have, see `map_again`.
     """
-    found = _map(database, image_root, out, seed, refine)
-    if refine == "always" and any(map(_has_drifted, found)):
-        with tempfile.TemporaryDirectory() as scratch:
-            copy, again = Path(scratch, "database.db"), Path(scratch, "sparse")
-            better = _map(copy, image_root, again, seed, "last") if _with_focal_lengths(database, copy, seed) else []
-            if better and not any(map(_has_drifted, better)):
-                found = better
-                shutil.rmtree(out)
-                shutil.copytree(again, out)
-    models = [_model(out / str(number), reconstruction) for number, reconstruction in enumerate(found)]
-    return sorted(models, key=lambda model: -len(model.seen))
+    models = map_once(database, image_root, out, seed, refine)
+    return map_again(database, image_root, out, seed, models) if models and models[0].drifted else models
 
 
-def _map(database: Path, image_root: Path, out: Path, seed: int, refine: Refine) -> list[Any]:
-    """Write reconstructions to the folders ``0``, ``1``, ... of `out`, and return them."""
+def map_once(database: Path, image_root: Path, out: Path, seed: int, refine: bool) -> list[Model]:
+    """Do what `map_database` does, once."""
+    unknown = {number for number, camera in _cameras(database).items() if not camera.has_prior_focal_length}
+    return _map(database, image_root, out, seed, refine=refine, unknown=unknown if refine else set())
+
+
+def map_again(database: Path, image_root: Path, out: Path, seed: int, models: list[Model]) -> list[Model]:
+    """Map with the median focal length of view graph calibration, refined last, for cameras without a prior one.
+
+    Returns `models`, and leaves them in `out`, unless the new model has not drifted and as many images.
+    """
+    with tempfile.TemporaryDirectory(dir=out.parent) as scratch:
+        copy, again = Path(scratch, "database.db"), Path(scratch, "sparse")
+        unknown = _copy_with_median(database, copy, seed)
+        better = _map(copy, image_root, again, seed, refine=True, unknown=unknown) if unknown else []
+        if not better or better[0].drifted or len(better[0].seen) < len(models[0].seen):
+            return models
+        shutil.rmtree(out)
+        again.rename(out)
+    return [replace(model, folder=out / model.folder.name) for model in better]
+
+
+def _map(database: Path, image_root: Path, out: Path, seed: int, *, refine: bool, unknown: set[int]) -> list[Model]:
+    """Map once; `unknown` are the cameras that may drift."""
     import pycolmap
 
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
-    options, adjustment = pycolmap.IncrementalPipelineOptions(), pycolmap.BundleAdjustmentOptions()
+    known = {number for number, camera in _cameras(database).items() if camera.has_prior_focal_length}
+    last = refine and len(known) == len(_cameras(database))
+    options = pycolmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed, options.ignore_watermarks = 1, seed % 2**31, True
-    options.ba_refine_focal_length = options.ba_refine_extra_params = refine == "always"
-    adjustment.print_summary, adjustment.ceres.solver_options.num_threads = False, 1
+    options.ba_refine_focal_length = options.ba_refine_extra_params = refine and not last
+    options.constant_cameras = known
+    models = []
     with quiet():
-        found = [one for _, one in sorted(pycolmap.incremental_mapping(database, image_root, out, options).items())]
-        for number, reconstruction in enumerate(found):
+        for number, reconstruction in sorted(pycolmap.incremental_mapping(database, image_root, out, options).items()):
             folder = out / str(number)
-            if refine == "last" and reconstruction.num_reg_images() >= _DETERMINED:
-                config = pycolmap.BundleAdjustmentConfig()
-                for image in reconstruction.reg_image_ids():
-                    config.add_image(image)
-                config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-                pycolmap.create_default_bundle_adjuster(adjustment, config, reconstruction).solve()
-                if _has_drifted(reconstruction):
-                    found[number] = pycolmap.Reconstruction(folder)
-                else:
-                    reconstruction.write(folder)
-            found[number].export_PLY(folder / "points.ply")
-    return found
+            if last and reconstruction.num_reg_images() >= _LEAST_IMAGES:
+                _adjust(reconstruction)
+                reconstruction.write(folder)
+            reconstruction.export_PLY(folder / "points.ply")
+            models.append(_model(folder, reconstruction, unknown))
+    return sorted(models, key=lambda model: -len(model.seen))
 
 
-def _has_drifted(reconstruction: Any) -> bool:
-    ratios = map(_focal_ratio, reconstruction.cameras.values())
-    return not all(_FOCAL_RATIOS[0] < ratio < _FOCAL_RATIOS[1] for ratio in ratios)
+def _adjust(reconstruction: Any) -> None:
+    """Refine a model with its intrinsics: ``pycolmap.bundle_adjustment`` on one thread, without a line on stderr."""
+    import pycolmap
+
+    options, config = pycolmap.BundleAdjustmentOptions(), pycolmap.BundleAdjustmentConfig()
+    options.print_summary, options.ceres.solver_options.num_threads = False, 1
+    for image in reconstruction.reg_image_ids():
+        config.add_image(image)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(options, config, reconstruction).solve()
+    reconstruction.update_point_3d_errors()
 
 
-def _with_focal_lengths(database: Path, copy: Path, seed: int) -> bool:
-    """Copy a database, with the median focal length that its pairs tell; False, and of no use, if these tell none.
+def _copy_with_median(database: Path, copy: Path, seed: int) -> set[int]:
+    """Copy a database, with the median of calibrated focal lengths as prior; return the cameras that had none.
 
-    By view graph calibration (Sweeney, Sattler, Hollerer, Turk and Pollefeys, ICCV 2015), as pycolmap has it; of single
-    cameras it may be far off. Lengths are in units of the longer side; those that were known before stay.
+    None are returned, and the copy is of no use, where calibration tells nothing. A length is in units of the longer
+    side. By COLMAP's view graph calibration (Fetzer et al., WACV 2020; Sweeney et al., ICCV 2015), which for a single
+    camera may be far off.
     """
     import pycolmap
 
     options = pycolmap.ViewGraphCalibrationOptions()
-    options.random_seed = seed % 2**31
+    options.random_seed, options.reestimate_relative_pose = seed % 2**31, False
     shutil.copyfile(database, copy)
     with quiet():
-        pycolmap.calibrate_view_graph(copy, options)  # geometries too
-    told = _cameras(copy)
+        pycolmap.calibrate_view_graph(copy, options)  # changes geometries as well
+    calibrated = _cameras(copy)
     shutil.copyfile(database, copy)
-    before = _cameras(copy)
-    ratios = [
-        _focal_ratio(told[number]) for number in before if _focal_ratio(told[number]) != _focal_ratio(before[number])
-    ]
-    if not ratios:
-        return False
-    ratio = float(np.clip(np.round(np.median(ratios), 3), *_FOCAL_RATIOS))
+    cameras = _cameras(copy)
+    both = [(_focal_ratio(calibrated[number]), _focal_ratio(camera)) for number, camera in cameras.items()]
+    ratios = [after for after, before in both if after != before]
+    ratio = round(float(np.median(ratios)), 3) if ratios else 0.0  # its solver has many threads
+    if not _FOCAL_RATIOS[0] < ratio < _FOCAL_RATIOS[1]:
+        return set()
+    unknown = {number: camera for number, camera in cameras.items() if not camera.has_prior_focal_length}
     with pycolmap.Database.open(copy) as opened:
-        for camera in before.values():
-            if not camera.has_prior_focal_length:
-                for place in camera.focal_length_idxs():
-                    camera.params[place] = ratio * max(camera.width, camera.height)
-                opened.update_camera(camera)
-    return True
+        for camera in unknown.values():
+            for place in camera.focal_length_idxs():
+                camera.params[place] = ratio * max(camera.width, camera.height)
+            camera.has_prior_focal_length = True
+            opened.update_camera(camera)
+    return set(unknown)
 
 
 def _cameras(database: Path) -> dict[int, Any]:
@@ -153,7 +179,15 @@ def _focal_ratio(camera: Any) -> float:
     return float(camera.mean_focal_length() / max(camera.width, camera.height))
 
 
-def _model(folder: Path, reconstruction: Any) -> Model:
+def _has_drifted(reconstruction: Any, unknown: set[int]) -> bool:
+    """Return whether many of the unknown cameras of registered images have a focal length beyond the limits."""
+    used = {reconstruction.images[image].camera_id for image in reconstruction.reg_image_ids()} & unknown
+    ratios = [_focal_ratio(reconstruction.cameras[number]) for number in used]
+    beyond = sum(not _FOCAL_RATIOS[0] < ratio < _FOCAL_RATIOS[1] for ratio in ratios)
+    return beyond > 0 and beyond >= _SHARE_BEYOND * len(ratios)
+
+
+def _model(folder: Path, reconstruction: Any, unknown: set[int]) -> Model:
     images = sorted((image for image in reconstruction.images.values() if image.has_pose), key=lambda i: str(i.name))
     poses = np.array([image.cam_from_world().matrix() for image in images]).reshape(-1, 3, 4)
     points = list(reconstruction.points3D.values())
@@ -166,4 +200,5 @@ def _model(folder: Path, reconstruction: Any) -> Model:
         colours=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
         tracks=Counter(len({e.image_id for e in point.track.elements}) for point in points),
         error_px=float(reconstruction.compute_mean_reprojection_error()),
+        drifted=_has_drifted(reconstruction, unknown),
     )

@@ -17,14 +17,11 @@ CONTRADICTS = "contradicts the focal lengths"
 _LOSES = 0.75  # a pair that keeps fewer of its matches; on validation scenes one in ten right pairs keeps below 0.98
 
 
-def judge_pairs(
-    matched: "MatchedCollection", least: float, tell: Callable[[str], None] | None = None
-) -> Iterator[tuple[MatchedPair, str]]:
-    """Yield every pair and why it is not relied on; empty if it is.
+def trusts_focal_lengths(matched: "MatchedCollection", least: float, tell: Callable[[str], None] | None = None) -> bool:
+    """Return whether the known focal lengths are believed; `tell` gets a line where they change anything.
 
-    Pairs below the confidence `least` are not. If most of those that reach it without focal lengths lose it, or a
-    quarter of their matches, under them, the focal lengths are wrong, and all pairs are as without. `tell` gets a line
-    on this. The collection is read twice.
+    They are wrong if most of the pairs that reach the confidence `least` without them lose it, or a quarter of their
+    matches, under them.
     """
     count = against = out = 0
     for plain, pair in zip(matched.plain, matched, strict=True):
@@ -38,6 +35,18 @@ def judge_pairs(
         tell(f"{against} of {count} pairs contradict the focal lengths of their cameras: these are wrong, and not used")
     elif tell and out:
         tell(f"{out} of {count} pairs contradict the focal lengths of their cameras: left out")
+    return trusted
+
+
+def judge_pairs(
+    matched: "MatchedCollection", least: float, tell: Callable[[str], None] | None = None
+) -> Iterator[tuple[MatchedPair, str]]:
+    """Yield every pair and why it is not relied on; empty if it is.
+
+    Pairs below the confidence `least` are not. Where focal lengths are not believed (`trusts_focal_lengths`, which
+    `tell` is for), all pairs are as without. The collection is read twice.
+    """
+    trusted = trusts_focal_lengths(matched, least, tell)
     for plain, known in zip(matched.plain, matched, strict=True):
         pair = known if trusted else plain
         if pair.confidence < least <= plain.confidence:

@@ -68,6 +68,7 @@ def sfm(
     from epiprior.collection.images import find_images
     from epiprior.collection.model import map_beside
     from epiprior.collection.report import write_report
+    from epiprior.collection.verify import trusts_focal_lengths
 
     settings = options.chosen_settings(preset, features, max_image_size, max_features)
     database, work = out / "database.db", out / "work"
@@ -85,10 +86,8 @@ def sfm(
     count = write_database(database, matched, cameras, min_confidence)
     say(f"{database}: {count} of {len(matched)} pairs have a geometry")
     _logger.info("mapping")
-    known = all(camera.has_prior_focal_length for _, camera in cameras)
-    models = map_beside(
-        database, found.root, out / "sparse", seed, "never" if camera_params else "last" if known else "always"
-    )
+    given = bool(camera_params) and trusts_focal_lengths(matched, min_confidence)
+    models = map_beside(database, found.root, out / "sparse", seed, refine=not given)
     write_report(out / "report.html", matched, models, min_confidence)
     for model in models:
         say(f"{model.folder}: {len(model.seen)} of {len(found.images)} images, {len(model.points)} points")

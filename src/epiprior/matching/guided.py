@@ -46,24 +46,31 @@ def _similar_on_lines(F, x1, x2, d1, d2, limit_sq, order, first, last):  # type:
 
 
 def _bands(F: FloatArray, x1: FloatArray, x2: FloatArray, limit_sq: float) -> tuple[IntArray, IntArray, IntArray]:
-    """Return features of image 2 as their epipolar lines turn, and where the band of each of image 1 begins and ends.
+    """Return features of image 2 by the angle of their epipolar lines, and where the band of each of image 1 lies.
 
-    ``x2' F x1`` is an inner product of two vectors of the plane, by the singular vectors of F: the direction of the one
-    tells the epipolar line of a feature of image 2, and it vanishes at a right angle. A band holds all features whose
-    squared Sampson distance may be below the limit.
+    With the singular vectors of F, ``x2' F x1`` is an inner product p . q of vectors of the plane, which vanishes where
+    these are perpendicular. A band, ``first`` to ``last``, holds all features whose squared Sampson distance may be
+    below the limit: few, unless some feature lies near an epipole.
     """
+    size = max(1.0, *(float(x.std(axis=0).max(initial=0.0)) for x in (x1, x2) if len(x)))
+    T1, T2 = (np.array([[size, 0, x], [0, size, y], [0, 0, 1]]) for x, y in (_centre(x1), _centre(x2)))
+    F = T2.T @ F @ T1  # for points around 0, of about 1
+    X1, X2 = (np.column_stack([(x - _centre(x)) / size, np.ones(len(x))]) for x in (x1, x2))
     U, S, V = np.linalg.svd(F)
-    X1, X2 = (np.column_stack([x, np.ones(len(x))]) for x in (x1, x2))
     p, q = X2 @ U[:, :2] * S[:2], X1 @ V[:2].T
-    turn, across = (np.mod(np.arctan2(y, x), np.pi) for x, y in (p.T, (-q[:, 1], q[:, 0])))
-    size1, size2 = np.maximum((q**2).sum(axis=1), 1e-300), np.maximum((p**2).sum(axis=1), 1e-300)
+    angle, across = (np.mod(np.arctan2(y, x), np.pi) for x, y in (p.T, (-q[:, 1], q[:, 0])))
+    p_sq, q_sq = (np.maximum((v**2).sum(axis=1), 1e-100) for v in (p, q))
     gradient1, gradient2 = ((X1 @ F.T)[:, :2] ** 2).sum(axis=1), ((X2 @ F)[:, :2] ** 2).sum(axis=1)
-    most = limit_sq * (gradient1 * (1 / size2).max(initial=0.0) + (gradient2 / size2).max(initial=0.0)) / size1
-    half = np.arcsin(np.sqrt(np.minimum(most, 1.0))) + 1e-9
-    order = np.argsort(turn, kind="stable")
-    turns = np.concatenate([turn[order] - np.pi, turn[order], turn[order] + np.pi])
-    first, last = np.searchsorted(turns, across - half), np.searchsorted(turns, across + half)
+    most = gradient1 * (1 / p_sq).max(initial=0.0) + (gradient2 / p_sq).max(initial=0.0)
+    half = np.arcsin(np.sqrt(np.minimum(1.001 * limit_sq / size**2 * most / q_sq, 1.0))) + 1e-9
+    order = np.argsort(angle, kind="stable")
+    angles = np.concatenate([angle[order] - np.pi, angle[order], angle[order] + np.pi])
+    first, last = np.searchsorted(angles, across - half), np.searchsorted(angles, across + half)
     return np.tile(order, 3), first, np.minimum(last, first + len(order))
+
+
+def _centre(x: FloatArray) -> FloatArray:
+    return np.asarray(x.mean(axis=0)) if len(x) else np.zeros(2)
 
 
 @compiled
@@ -118,4 +125,4 @@ def _nearest(
     nearest, best = np.full(count, -1, np.int64), np.zeros((count, 2), np.float32)
     _two_best(row, column, place, similarity, nearest, best)
     angle = np.arccos(np.clip(best.astype(np.float64), -1.0, 1.0))
-    return nearest, angle[:, 0], angle[:, 0] / np.maximum(angle[:, 1], 1e-12)
+    return nearest, angle[:, 0], np.maximum(angle[:, 0], 1e-12) / np.maximum(angle[:, 1], 1e-12)

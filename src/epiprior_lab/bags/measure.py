@@ -11,15 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from epiprior.collection.model import Model, Refine, map_database
+from epiprior.collection.model import Model, map_database
 from epiprior.io.colmap import quiet
 from epiprior_lab.bags.choose import Bag, View
 from epiprior_lab.bags.methods import fill_database, know_cameras, processor_seconds
 from epiprior_lab.bags.params import MapperParams
 from epiprior_lab.evaluation.learned import Columns
 
-REFINE: dict[str, Refine] = {"known": "never", "inferred": "always"}
-INTRINSICS = tuple(REFINE)
+INTRINSICS = ("known", "inferred")
 _UNPLACED_DEG = 180.0
 
 
@@ -82,7 +81,7 @@ def measure_bag(
                     know_cameras(database, bag.named, matched, seed=mapper.seed, min_confidence=least)
             start = processor_seconds()
             sparse = Path(scratch, "sparse")
-            models = map_database(database, images, sparse, seed=mapper.seed, refine=REFINE[kind])
+            models = map_database(database, images, sparse, seed=mapper.seed, refine=kind == "inferred")
             seconds["mapping_s"] = processor_seconds() - start
             about = {name: getattr(bag, name) for name in ("group", "scene", "kind", "size")}
             found = judge(models[0] if models else None, bag.named, mapper)
