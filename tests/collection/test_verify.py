@@ -5,11 +5,12 @@ import pytest
 
 from collections_fakes import in_this_process, small_images
 from epiprior import match_collection
+from epiprior.collection.database import write_database
 from epiprior.collection.report import write_report
 from epiprior.collection.store import MatchedPair
 from epiprior.collection.verify import CONTRADICTS, judge_pairs
 
-pytest.importorskip("pycolmap")
+pycolmap = pytest.importorskip("pycolmap")
 
 
 def pair(confidence, count=100, geometry="UNCALIBRATED", **about):
@@ -75,3 +76,18 @@ def test_the_report_says_which_images_have_pairs_that_contradict(tmp_path, monke
     assert page.count("no pair has a geometry, 1 contradict the focal lengths") == 2
     assert "0 of 1 pairs have a geometry. 1 of 1 pairs contradict" in page
     assert f"not written: {CONTRADICTS}" in page
+
+
+def test_focal_lengths_that_are_not_believed_are_no_prior_ones_but_pairs_keep_them(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    small_images(tmp_path / "set", ("a.png", "b.png"))
+    camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 300, 200, 150)
+    camera.has_prior_focal_length = True
+    cameras = {"a.png": camera, "b.png": camera}
+    found = match_collection(tmp_path / "set", cameras=cameras)
+    for trusted in (False, True):
+        monkeypatch.setattr("epiprior.collection.database.trusts_focal_lengths", lambda *_, trusted=trusted: trusted)
+        write_database(tmp_path / f"{trusted}.db", found, list(cameras.items()), 0.5)
+        with pycolmap.Database.open(tmp_path / f"{trusted}.db") as opened:
+            assert {one.has_prior_focal_length for one in opened.read_all_cameras()} == {trusted}
+        assert found.cameras_of((0, 1)) is not None

@@ -98,6 +98,6 @@ def test_what_repeats_in_the_image_does_not_repeat_on_the_line():
 
 def test_without_features_there_are_no_matches():
     none, some = features_at(np.empty((0, 2)), np.empty((0, 128))), features_at(np.ones((3, 2)), np.ones((3, 128)))
-    for first, second in ((none, some), (some, none)):
+    for first, second in ((none, some), (some, none), (none, none)):
         found = guided_matches(first, second, make_pair().F, threshold_px=PX, factors=(1.0, 1.0))
         assert found.shape == (0, 2)

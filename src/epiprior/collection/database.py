@@ -1,6 +1,7 @@
 """A collection as a COLMAP database: a new one, or what is missing in one that COLMAP has filled with features."""
 
 import contextlib
+import copy
 import logging
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
@@ -85,8 +86,9 @@ def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tup
             with pycolmap.DatabaseTransaction(database):
                 for place, (image, (first, camera)) in enumerate(zip(matched.images.images, cameras, strict=True)):
                     if first not in numbers:
-                        camera.has_prior_focal_length &= trusted
-                        numbers[first] = add_camera(database, camera)
+                        own = copy.copy(camera)  # pairs are looked up by the other
+                        own.has_prior_focal_length &= trusted
+                        numbers[first] = add_camera(database, own)
                     ids[image.name] = add_image(database, image.name, numbers[first], matched.features(place).xy)
             count = _add_pairs(database, matched, ids, least)
         check_colmap_output(path)

@@ -52,7 +52,7 @@ def _bands(F: FloatArray, x1: FloatArray, x2: FloatArray, limit_sq: float) -> tu
     these are perpendicular. A band, ``first`` to ``last``, holds all features whose squared Sampson distance may be
     below the limit: few, unless some feature lies near an epipole.
     """
-    size = max(1.0, *(float(x.std(axis=0).max(initial=0.0)) for x in (x1, x2) if len(x)))
+    size = max([1.0, *(float(x.std(axis=0).max()) for x in (x1, x2) if len(x))])
     T1, T2 = (np.array([[size, 0, x], [0, size, y], [0, 0, 1]]) for x, y in (_centre(x1), _centre(x2)))
     F = T2.T @ F @ T1  # for points around 0, of about 1
     X1, X2 = (np.column_stack([(x - _centre(x)) / size, np.ones(len(x))]) for x in (x1, x2))
