@@ -24,6 +24,7 @@ from distributed import LocalCluster
 
 from epiprior.collection.database import CameraSettings, infer_cameras, write_database
 from epiprior.collection.run import MatchedCollection, match_collection
+from epiprior.collection.verify import judge_pairs
 from epiprior_lab.pairsets import read_pair_set
 
 CONFIDENT = 0.5
@@ -90,7 +91,9 @@ def rows(database: Path) -> list[str]:
 def match(images: Path | Sequence[Path], out: Path, clock: Clock, **how: object) -> MatchedCollection:
     """Match a collection and write its database, `out` with the suffix .db."""
     matched = match_collection(images, pairs="similar:20", work=out, on_progress=clock, **how)  # type: ignore[arg-type]
-    write_database(out.with_suffix(".db"), matched, infer_cameras(matched.images, CameraSettings()), CONFIDENT)
+    write_database(
+        out.with_suffix(".db"), judge_pairs(matched, CONFIDENT), infer_cameras(matched.images, CameraSettings())
+    )
     clock.stop("database")
     return matched
 
@@ -142,7 +145,7 @@ def compare(images: Sequence[Path], out: Path) -> None:
         matched = match_collection(
             images, pairs="similar:20", work=out / "cluster", on_progress=progress, scheduler=cluster.scheduler_address
         )
-    write_database(out / "cluster.db", matched, infer_cameras(matched.images, CameraSettings()), CONFIDENT)
+    write_database(out / "cluster.db", judge_pairs(matched, CONFIDENT), infer_cameras(matched.images, CameraSettings()))
     print(f"  a cluster of two, one of them killed: same rows: {rows(out / 'cluster.db') == held[1]}")
 
 

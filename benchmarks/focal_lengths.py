@@ -20,6 +20,7 @@ import numpy as np
 from epiprior.collection import model
 from epiprior.collection.database import CameraSettings, infer_cameras, write_database
 from epiprior.collection.run import match_collection
+from epiprior.collection.verify import judge_pairs
 from epiprior_lab.bags.choose import View
 from epiprior_lab.bags.measure import judge
 from epiprior_lab.bags.params import PATH, load_sfm_params
@@ -57,7 +58,7 @@ def measure(bag: dict[str, View], work: Path, rng: np.random.Generator, outcomes
             camera.has_prior_focal_length = prior
             if error is not None:
                 camera.focal_length = bag[name].camera.K[0, 0] * (1 + error * rng.normal())
-        write_database(database, matched, cameras, CONFIDENT)
+        write_database(database, judge_pairs(matched, CONFIDENT), cameras)
 
     def note(known: str, how: str, found: list[model.Model]) -> None:
         of = judge(found[0] if found else None, bag, MAPPER)

@@ -9,6 +9,7 @@ from collections_fakes import MATCHES, FakeEstimation, in_this_process, rows_of,
 from epiprior import FeatureError, ImageError, OutputError, SettingsError, Status, match_collection
 from epiprior.collection.database import CameraSettings, extend_database, infer_cameras, read_filled, write_database
 from epiprior.collection.images import find_images
+from epiprior.collection.verify import judge_pairs
 from epiprior.geometry import sampson_distance
 from feature_files import extract_colmap
 from pictures import save, texture
@@ -24,8 +25,8 @@ def found(tmp_path, monkeypatch):
 
 
 def test_database_holds_what_was_matched_and_no_pair_without_geometry(tmp_path, found, monkeypatch):
-    path = tmp_path / "scene.db"
-    assert write_database(path, found, infer_cameras(found.images, CameraSettings()), 0.5) == 3
+    path, cameras = tmp_path / "scene.db", infer_cameras(found.images, CameraSettings())
+    assert write_database(path, judge_pairs(found, 0.5), cameras) == 3
     with pycolmap.Database.open(path) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
         assert database.num_cameras() == database.num_rigs() == database.num_frames() == 3
@@ -42,11 +43,11 @@ def test_database_holds_what_was_matched_and_no_pair_without_geometry(tmp_path, 
             expected = sampson_distance(pair.F, own[0][pair.matches[:, 0]], own[1][pair.matches[:, 1]])
             np.testing.assert_allclose(sampson_distance(geometry.F, x1, x2), expected, rtol=1e-3, atol=1e-3)
     with pytest.raises(OutputError, match="exists already"):
-        write_database(path, found, infer_cameras(found.images, CameraSettings()), 0.5)
-    assert write_database(tmp_path / "high.db", found, infer_cameras(found.images, CameraSettings()), 1.1) == 0
+        write_database(path, judge_pairs(found, 0.5), cameras)
+    assert write_database(tmp_path / "high.db", judge_pairs(found, 1.1), cameras) == 0
     in_this_process(monkeypatch, FakeEstimation(Status.NO_MODEL))
     found = match_collection(tmp_path / "set")
-    assert write_database(tmp_path / "none.db", found, infer_cameras(found.images, CameraSettings()), 0.0) == 0
+    assert write_database(tmp_path / "none.db", judge_pairs(found, 0.0), cameras) == 0
     assert not any(rows_of(tmp_path / "none.db", "matches", "two_view_geometries").values())
 
 
@@ -55,7 +56,7 @@ def test_a_database_that_was_made_meanwhile_stays(tmp_path, found, monkeypatch):
     add = pycolmap.Database.write_two_view_geometry
     monkeypatch.setattr(pycolmap.Database, "write_two_view_geometry", lambda *a: path.write_text("mine") and add(*a))
     with pytest.raises(OutputError, match="exists already"):
-        write_database(path, found, cameras, 0.5)
+        write_database(path, judge_pairs(found, 0.5), cameras)
     assert path.read_text() == "mine"
     assert not list(tmp_path.glob(".scene*"))
 
@@ -63,7 +64,7 @@ def test_a_database_that_was_made_meanwhile_stays(tmp_path, found, monkeypatch):
 @pytest.mark.parametrize(("mode", "count"), [("single", 1), ("per-folder", 2), ("per-image", 3)])
 def test_cameras_are_shared(tmp_path, found, mode, count):
     cameras = infer_cameras(found.images, CameraSettings(mode=mode, model="PINHOLE", params="300,310,100,75"))
-    write_database(tmp_path / "scene.db", found, cameras, 0.5)
+    write_database(tmp_path / "scene.db", judge_pairs(found, 0.5), cameras)
     with pycolmap.Database.open(tmp_path / "scene.db") as database:
         known = database.read_all_cameras()
         assert len(known) == count
@@ -109,7 +110,7 @@ def test_a_database_of_colmap_is_extended(tmp_path, filled, monkeypatch, with_ph
     known = read_filled(filled, tmp_path / "set" if with_photographs else None)
     found = match_collection(known.images, given=known.features, without=known.verified)
     assert [(pair.image1, pair.image2) for pair in found] == [("a.png", "sub/b.png"), ("sub/b.png", "sub/c.png")]
-    assert extend_database(filled, found, 0.5) == 2
+    assert extend_database(filled, judge_pairs(found, 0.5)) == 2
     assert rows_of(filled, *mine) == before
     assert all((call["views"][0] is not None) == with_photographs for call in estimation.calls)
     with pycolmap.Database.open(filled) as database:
@@ -136,12 +137,12 @@ def test_an_extension_that_failed_goes_on(tmp_path, filled, monkeypatch):
 
     monkeypatch.setattr(pycolmap.Database, "write_two_view_geometry", full)
     with pytest.raises(OutputError, match=r"colmap\.db.*disk is full"):
-        extend_database(filled, found, 0.5)
+        extend_database(filled, judge_pairs(found, 0.5))
     monkeypatch.setattr(pycolmap.Database, "write_two_view_geometry", write)
     known = read_filled(filled, tmp_path / "set")
     assert known.verified == {("a.png", "sub/b.png")}
     rest = match_collection(known.images, given=known.features, without=known.verified)
-    assert extend_database(filled, rest, 0.5) == 2
+    assert extend_database(filled, judge_pairs(rest, 0.5)) == 2
     assert len(read_filled(filled, None).verified) == 3
 
 

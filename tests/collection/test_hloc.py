@@ -8,6 +8,7 @@ import pytest
 from collections_fakes import MATCHES, in_this_process, small_images
 from epiprior import FeatureError, OutputError, match_collection
 from epiprior.collection.hloc import check_hloc_output, read_hloc_images, write_hloc_matches
+from epiprior.collection.verify import judge_pairs
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
 from epiprior.io import read_hloc_features
@@ -46,7 +47,7 @@ def test_matches_are_read_as_by_hloc(tmp_path, feats, monkeypatch, with_photogra
         images, pairs=str(tmp_path / "pairs.txt"), given=lambda name: read_hloc_features(feats, name)
     )
     assert all((call["views"][0] is not None) == with_photographs for call in estimation.calls)
-    assert write_hloc_matches(tmp_path / "matches.h5", found, 0.5) == 2
+    assert write_hloc_matches(tmp_path / "matches.h5", judge_pairs(found, 0.5)) == 2
     for pair in found:
         matches, scores, whole, all_scores = read_as_hloc_does(tmp_path / "matches.h5", pair.image1, pair.image2)
         assert len(matches) == MATCHES
@@ -55,7 +56,7 @@ def test_matches_are_read_as_by_hloc(tmp_path, feats, monkeypatch, with_photogra
         assert (whole.dtype, all_scores.dtype) == (np.int16, np.float16)
         with h5py.File(feats, "r") as file:
             assert len(whole) == len(all_scores) == len(file[f"{pair.image1}/keypoints"])
-    assert write_hloc_matches(tmp_path / "none.h5", found, 1.1) == 0
+    assert write_hloc_matches(tmp_path / "none.h5", judge_pairs(found, 1.1)) == 0
     assert not len(read_as_hloc_does(tmp_path / "none.h5", "a.png", "sub/b.png")[0])
 
 

@@ -1,5 +1,8 @@
 """Pairs that are relied on: by their confidence, what focal lengths contradict, and when they are not believed."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,7 +11,8 @@ from epiprior import match_collection
 from epiprior.collection.database import write_database
 from epiprior.collection.report import write_report
 from epiprior.collection.store import MatchedPair
-from epiprior.collection.verify import CONTRADICTS, judge_pairs
+from epiprior.collection.verify import CONTRADICTS, CONTRADICTS_OTHERS, JudgedPairs, judge_pairs
+from epiprior.presets import DEFAULT
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -29,7 +33,12 @@ class Collection(list):
 
     def __init__(self, both):
         super().__init__(pair for _, pair in both)
-        self.plain = [pair for pair, _ in both]
+        self.plain = self if all(one is two for one, two in both) else Collection((pair, pair) for pair, _ in both)
+        self.pairs = [(2 * row, 2 * row + 1) for row in range(len(self))]
+        self.how = SimpleNamespace(settings=DEFAULT)
+
+    def read(self, pair):
+        return self[self.pairs.index(pair)]
 
 
 PLAIN = pair(0.9)
@@ -40,9 +49,8 @@ UNKNOWN = (PLAIN, PLAIN)
 
 
 def judged(*both):
-    told = []
-    found = list(judge_pairs(Collection(both), 0.5, told.append))
-    return [why for _, why in found], [pair.geometry for pair, _ in found], told
+    found = judge_pairs(Collection(both), 0.5)
+    return [why for _, why in found], [pair.geometry for pair, _ in found], list(found.remarks)
 
 
 def test_pairs_are_left_out_by_confidence_and_by_focal_lengths():
@@ -66,16 +74,13 @@ def test_the_report_says_which_images_have_pairs_that_contradict(tmp_path, monke
     small_images(tmp_path / "set", ("a.png", "b.png"))
     found = match_collection(tmp_path / "set")
 
-    def one_against(matched, least, tell):
-        tell("1 of 1 pairs contradict")
-        return [(pair, CONTRADICTS) for pair in matched]
-
-    monkeypatch.setattr("epiprior.collection.report.judge_pairs", one_against)
-    write_report(tmp_path / "report.html", found, [], 0.5)
-    page = (tmp_path / "report.html").read_text()
-    assert page.count("no pair has a geometry, 1 contradict the focal lengths") == 2
-    assert "0 of 1 pairs have a geometry. 1 of 1 pairs contradict" in page
-    assert f"not written: {CONTRADICTS}" in page
+    for why in (CONTRADICTS, CONTRADICTS_OTHERS):
+        judged = JudgedPairs(matched=found, trusted=True, why_not=(why,), remarks=("1 of 1 pairs contradict",))
+        write_report(tmp_path / "report.html", judged, [])
+        page = (tmp_path / "report.html").read_text()
+        assert page.count(f"no pair has a geometry, 1 {why.replace('contradicts', 'contradict')}<") == 2
+        assert "0 of 1 pairs have a geometry. 1 of 1 pairs contradict" in page
+        assert f"not written: {why}" in page
 
 
 def test_focal_lengths_that_are_not_believed_are_no_prior_ones_but_pairs_keep_them(tmp_path, monkeypatch):
@@ -86,8 +91,28 @@ def test_focal_lengths_that_are_not_believed_are_no_prior_ones_but_pairs_keep_th
     cameras = {"a.png": camera, "b.png": camera}
     found = match_collection(tmp_path / "set", cameras=cameras)
     for trusted in (False, True):
-        monkeypatch.setattr("epiprior.collection.database.trusts_focal_lengths", lambda *_, trusted=trusted: trusted)
-        write_database(tmp_path / f"{trusted}.db", found, list(cameras.items()), 0.5)
+        write_database(
+            tmp_path / f"{trusted}.db", replace(judge_pairs(found, 0.5), trusted=trusted), list(cameras.items())
+        )
         with pycolmap.Database.open(tmp_path / f"{trusted}.db") as opened:
             assert {one.has_prior_focal_length for one in opened.read_all_cameras()} == {trusted}
         assert found.cameras_of((0, 1)) is not None
+
+
+def test_of_three_pairs_that_contradict_the_least_sure_is_left_out(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    small_images(tmp_path / "set", ("a.png", "b.png", "c.png"))
+    found = match_collection(tmp_path / "set")
+    sure = {(0, 1): 0.9, (0, 2): 0.6, (1, 2): 0.8}
+    matches = {pair: np.column_stack([np.arange(20)] * 2) for pair in sure}
+
+    def changed(self, pair):
+        return replace(self.store.read(self.key(pair)), confidence=sure[pair], matches=matches[pair])
+
+    monkeypatch.setattr(type(found), "read", changed)
+    assert [why for _, why in judge_pairs(found, 0.5)] == ["", "", ""]
+    matches[0, 2] = np.column_stack([np.arange(20), np.arange(20)[::-1]])
+    judged = judge_pairs(found, 0.5)
+    assert [why for _, why in judged] == ["", CONTRADICTS_OTHERS, ""]
+    assert judged.remarks == ("1 of 3 pairs contradict others: left out",)
+    assert [why for _, why in judge_pairs(found, 0.7)] == ["", "low confidence", ""]

@@ -14,6 +14,7 @@ from command_line import one_line, refused
 from command_line import run_command as run
 from epiprior import Status
 from epiprior.collection.model import map_beside
+from epiprior.collection.verify import judge_pairs
 from epiprior.collection.workers import WorkerLostError
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
@@ -100,8 +101,9 @@ def test_given_focal_lengths_stay_unless_pairs_contradict(estimation, images, tm
         return []
 
     mapping = []
-    for module in ("collection.verify", "collection.database"):
-        monkeypatch.setattr(f"epiprior.{module}.trusts_focal_lengths", lambda *_: trusted)
+    monkeypatch.setattr(
+        "epiprior.collection.verify.judge_pairs", lambda *of: replace(judge_pairs(*of), trusted=trusted)
+    )
     monkeypatch.setattr("epiprior.collection.model.map_beside", mapped)
     options = ["--camera-params=600,240,150,0"] if given else []
     assert run("sfm", images, "--out", tmp_path / "scene", *options).exit_code == 1

@@ -11,7 +11,13 @@ from calls import refused
 from epiprior.errors import FeatureError
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
-from epiprior.matching.baselines import _candidates, generalized_matches, snn_matches, standard_matches
+from epiprior.matching.baselines import (
+    _candidates,
+    generalized_matches,
+    snn_matches,
+    snn_of_largest,
+    standard_matches,
+)
 from epiprior.presets import DEFAULT, PAPER
 from pictures import relief_pair
 from synthetic import unit_rows
@@ -92,3 +98,23 @@ def test_standard_matches_are_the_papers_and_snn_is_mutual():
     assert (np.diff(found.distance_ratio) >= 0).all()
     assert found.distance_ratio.max() < 0.85
     assert len({tuple(x) for x in np.column_stack([found.x2, found.orientation2_deg])}) == len(found)
+
+
+def test_matches_of_the_largest_features_are_those_of_all_between_them():
+    features = [detect_features(load_photograph(image), DEFAULT.features) for image in SMALL_PAIR]
+    of_all = snn_matches(None, None, features1=features[0], features2=features[1])
+    sizes = [np.sort(one.scale)[::-1] for one in features]
+    largest = next(n for n in range(150, 300) if all(own[n - 1] > own[n] for own in sizes))
+    least = [own[largest - 1] for own in sizes]
+    both = (of_all.scale1 >= least[0]) & (of_all.scale2 >= least[1])
+    some = [one.take(np.argsort(-one.scale, kind="stable")[:largest]) for one in features]
+    among_themselves = snn_matches(None, None, features1=some[0], features2=some[1])
+    assert 10 < both.sum() < len(among_themselves)
+    for swap in (False, True):
+        got = snn_of_largest(*(features[::-1] if swap else features), largest=largest)
+        got, wanted = got.swapped() if swap else got, of_all.take(np.flatnonzero(both))
+        assert len(got) == len(wanted)
+        in_order = [m.take(np.lexsort(np.column_stack([m.x1, m.x2]).T)) for m in (got, wanted)]
+        for column in ("x1", "x2", "distance_ratio", "similarity", "similarity_weight"):
+            one, two = (getattr(m, column) for m in in_order)
+            np.testing.assert_allclose(one, two, rtol=1e-3, err_msg=column)

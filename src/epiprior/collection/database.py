@@ -2,7 +2,6 @@
 
 import contextlib
 import copy
-import logging
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,8 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from epiprior.collection.images import ImageSet, known_images
-from epiprior.collection.run import MatchedCollection
-from epiprior.collection.verify import judge_pairs, trusts_focal_lengths
+from epiprior.collection.verify import JudgedPairs
 from epiprior.errors import FeatureError, ImageError, SettingsError, require
 from epiprior.io.colmap import add_camera, add_image, add_pair, check_colmap_output, writable
 from epiprior.io.features import read_colmap_features
@@ -20,7 +18,6 @@ from epiprior.io.output import replacing
 from epiprior.types import Features
 
 CameraMode = Literal["single", "per-folder", "per-image"]
-logger = logging.getLogger(__name__)
 _MOST_IMAGES = 2147483647  # COLMAP numbers a pair by image1 * this + image2
 
 
@@ -71,14 +68,14 @@ def infer_cameras(images: ImageSet, how: CameraSettings) -> list[tuple[str, Any]
     return shared
 
 
-def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tuple[str, Any]], least: float) -> int:
-    """Write a new database; return how many pairs have a geometry of at least the confidence `least`.
+def write_database(path: Path, judged: JudgedPairs, cameras: Sequence[tuple[str, Any]]) -> int:
+    """Write a new database with the pairs that are relied on; return how many have a geometry.
 
     Focal lengths that pairs contradict are not written as prior ones. OutputError if it exists, also if it was made
     meanwhile, or cannot be written; the file appears as a whole.
     """
     pycolmap = check_colmap_output(path)
-    trusted = trusts_focal_lengths(matched, least)
+    matched = judged.matched
     with replacing(path) as scratch:
         with writable(path, scratch) as database:
             numbers: dict[str, int] = {}
@@ -87,30 +84,30 @@ def write_database(path: Path, matched: MatchedCollection, cameras: Sequence[tup
                 for place, (image, (first, camera)) in enumerate(zip(matched.images.images, cameras, strict=True)):
                     if first not in numbers:
                         own = copy.copy(camera)  # pairs are looked up by the other
-                        own.has_prior_focal_length &= trusted
+                        own.has_prior_focal_length &= judged.trusted
                         numbers[first] = add_camera(database, own)
                     ids[image.name] = add_image(database, image.name, numbers[first], matched.features(place).xy)
-            count = _add_pairs(database, matched, ids, least)
+            count = _add_pairs(database, judged, ids)
         check_colmap_output(path)
     return count
 
 
-def extend_database(path: Path, matched: MatchedCollection, least: float) -> int:
-    """Add the pairs to a database that holds the features of the images; return how many have a geometry.
+def extend_database(path: Path, judged: JudgedPairs) -> int:
+    """Add the pairs that are relied on to a database that holds the features; return how many have a geometry.
 
     After a kill the database is as it was; after an error it holds the pairs before it, and may be extended again.
     """
     with writable(path, path) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
-        return _add_pairs(database, matched, ids, least)
+        return _add_pairs(database, judged, ids)
 
 
-def _add_pairs(database: Any, matched: MatchedCollection, ids: dict[str, int], least: float) -> int:
+def _add_pairs(database: Any, judged: JudgedPairs, ids: dict[str, int]) -> int:
     import pycolmap
 
     count = 0
     with pycolmap.DatabaseTransaction(database):
-        for pair, why_not in judge_pairs(matched, least, logger.warning):
+        for pair, why_not in judged:
             if why_not:
                 continue
             how: dict[str, Any] = {"configuration": pair.geometry, "F": pair.F, "H": pair.H, "E": pair.E}

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from epiprior.collection.images import ImageSet, known_images
-from epiprior.collection.run import MatchedCollection
-from epiprior.collection.verify import judge_pairs
+from epiprior.collection.verify import JudgedPairs
 from epiprior.errors import FeatureError, OutputError, require
 from epiprior.io.features import hloc_names
 from epiprior.io.output import check_output, replacing
@@ -43,21 +42,22 @@ def read_hloc_images(features: Path, folder: Path | None) -> ImageSet:
     return known_images(called, folder, features)
 
 
-def write_hloc_matches(path: Path, matched: MatchedCollection, least: float) -> int:
+def write_hloc_matches(path: Path, judged: JudgedPairs) -> int:
     """Write the layout of hloc's ``match_features``; return how many pairs have a geometry.
 
     The group ``NAME1/NAME2``, each with ``-`` for ``/``, holds ``matches0`` (N1,), the row of image 2 for each keypoint
     of image 1 or -1, and ``matching_scores0`` (N1,), the confidence of the pair for matched ones. Every pair has a
-    group; without a geometry of at least the confidence `least` nothing is matched.
+    group; where it is not relied on nothing is matched.
     """
     import h5py
 
     check_hloc_output(path)
+    matched = judged.matched
     counts = [len(matched.features(place)) for place in range(len(matched.images.images))]
     found = 0
     with replacing(path) as partial:
         with h5py.File(partial, "w", libver="latest") as file:
-            for (a, b), (pair, why_not) in zip(matched.pairs, judge_pairs(matched, least), strict=True):
+            for (a, b), (pair, why_not) in zip(matched.pairs, judged, strict=True):
                 kind = np.int16 if counts[b] <= _MOST_SHORT else np.int32
                 matches, scores = np.full(counts[a], -1, kind), np.zeros(counts[a], np.float16)
                 if not why_not:

@@ -20,7 +20,7 @@ from epiprior.estimators.run import estimate_from_matches
 from epiprior.features.images import blank_photograph
 from epiprior.io.colmap import configuration_of, intrinsics_of
 from epiprior.kernels.one_to_one import one_to_one_mask
-from epiprior.matching.baselines import snn_matches
+from epiprior.matching.baselines import snn_of_largest
 from epiprior.matching.guided import guided_matches
 from epiprior.presets import Mode, PreprocessSettings, check_choice
 from epiprior.two_view import estimate_fundamental
@@ -82,13 +82,11 @@ def _of_largest(
 ) -> FundamentalEstimate | None:
     """Estimate F on simple matches of the largest features; None unless the rule of the cascade keeps it.
 
-    Large features are few, and are often found again in other photographs (Wu, 3DV 2013). Under known intrinsics the
-    estimate under these has to be kept as well.
+    Under known intrinsics the estimate under these has to be kept as well.
     """
     if max(map(len, features)) <= LARGEST:
         return None
-    some = [one.take(np.sort(np.argsort(-one.scale, kind="stable")[:LARGEST])) for one in features]
-    matches = snn_matches(None, None, features=how.settings.features, features1=some[0], features2=some[1])
+    matches = snn_of_largest(*features, largest=LARGEST, features=how.settings.features)
     chosen = load_hand_overs()[how.estimator]["snn"]
     found = estimate_from_matches(
         [matches],

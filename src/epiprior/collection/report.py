@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from epiprior.collection.model import Model
 from epiprior.collection.run import MatchedCollection
-from epiprior.collection.verify import CONTRADICTS, judge_pairs
+from epiprior.collection.verify import CONTRADICTS, CONTRADICTS_OTHERS, JudgedPairs
 from epiprior.io.output import replacing
 from epiprior.types import FloatArray
 
@@ -48,22 +48,22 @@ $left_out
 """)
 
 
-def write_report(path: Path, matched: MatchedCollection, models: Sequence[Model], least: float) -> None:
-    """Write the page: a file without links to others. `least` is the confidence from which a geometry counts."""
+def write_report(path: Path, judged: JudgedPairs, models: Sequence[Model]) -> None:
+    """Write the page: a file without links to others."""
+    matched = judged.matched
     names = [image.name for image in matched.images.images]
     place = {name: index for index, name in enumerate(names)}
     confidence, inliers = np.full((len(names), len(names)), np.nan), np.zeros((len(names), len(names)))
     outcomes: Counter[str] = Counter()
-    against: Counter[str] = Counter()
-    lines: list[str] = []
-    for pair, why_not in judge_pairs(matched, least, lines.append):
+    against: Counter[tuple[str, str]] = Counter()
+    for pair, why_not in judged:
         at = place[pair.image1], place[pair.image2]
         confidence[at], inliers[at] = pair.confidence, 0 if why_not else len(pair.matches)
         outcomes[f"not written: {why_not}" if why_not else pair.geometry] += 1
-        against.update((pair.image1, pair.image2) if why_not == CONTRADICTS else ())
+        against.update((name, why_not) for name in (pair.image1, pair.image2))
     registered = {name: (number, seen) for number, model in enumerate(models) for name, seen in model.seen.items()}
     summary = f"{len(registered)} of {len(names)} images are registered, in {len(models)} models. "
-    summary += f"{int((inliers > 0).sum())} of {len(matched)} pairs have a geometry. " + "".join(lines)
+    summary += f"{int((inliers > 0).sum())} of {len(matched)} pairs have a geometry. " + ". ".join(judged.remarks)
     text = _PAGE.substitute(
         title=escape(matched.images.root.name),
         side=_SIDE,
@@ -82,7 +82,10 @@ def write_report(path: Path, matched: MatchedCollection, models: Sequence[Model]
 
 
 def _image_rows(
-    matched: MatchedCollection, inliers: FloatArray, against: Counter[str], registered: dict[str, tuple[int, int]]
+    matched: MatchedCollection,
+    inliers: FloatArray,
+    against: Counter[tuple[str, str]],
+    registered: dict[str, tuple[int, int]],
 ) -> Iterable[tuple[str, ...]]:
     """Yield a row per image; where it is not registered, the reason."""
     both = inliers + inliers.T
@@ -90,7 +93,9 @@ def _image_rows(
         count = int((both[index] > 0).sum())
         number, seen = registered.get(image.name, (None, 0))
         why = f"the mapper did not place it, best pair {both[index].max():.0f}" if count else "no pair has a geometry"
-        why += f", {against[image.name]} contradict the focal lengths" if against[image.name] else ""
+        for reason in (CONTRADICTS, CONTRADICTS_OTHERS):
+            times = against[image.name, reason]
+            why += f", {times} {reason.replace('contradicts', 'contradict')}" if times else ""
         model = f"no: {why}" if number is None else str(number)
         yield image.name, str(len(matched.features(index))), str(count), model, str(seen) if seen else ""
 

@@ -53,7 +53,11 @@ class MatchedCollection:
         return len(self.pairs)
 
     def __iter__(self) -> Iterator[MatchedPair]:
-        return (self.store.read(self.key(pair)) for pair in self.pairs)
+        return map(self.read, self.pairs)
+
+    def read(self, pair: Pair) -> MatchedPair:
+        """Return what was found for one of the `pairs`."""
+        return self.store.read(self.key(pair))
 
     def key(self, pair: Pair) -> bytes:
         """Return the key of a pair in the store."""

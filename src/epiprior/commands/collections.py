@@ -68,7 +68,7 @@ def sfm(
     from epiprior.collection.images import find_images
     from epiprior.collection.model import map_beside
     from epiprior.collection.report import write_report
-    from epiprior.collection.verify import trusts_focal_lengths
+    from epiprior.collection.verify import judge_pairs
 
     settings = options.chosen_settings(preset, features, max_image_size, max_features)
     database, work = out / "database.db", out / "work"
@@ -83,12 +83,13 @@ def sfm(
         threshold_px=threshold, settings=settings, work=work, cameras=_by_name(found, cameras),
     )  # fmt: skip
     database.unlink(missing_ok=True)
-    count = write_database(database, matched, cameras, min_confidence)
+    judged = judge_pairs(matched, min_confidence)
+    count = write_database(database, judged, cameras)
     say(f"{database}: {count} of {len(matched)} pairs have a geometry")
     _logger.info("mapping")
-    given = bool(camera_params) and trusts_focal_lengths(matched, min_confidence)
+    given = bool(camera_params) and judged.trusted
     models = map_beside(database, found.root, out / "sparse", seed, refine=not given)
-    write_report(out / "report.html", matched, models, min_confidence)
+    write_report(out / "report.html", judged, models)
     for model in models:
         say(f"{model.folder}: {len(model.seen)} of {len(found.images)} images, {len(model.points)} points")
     say(f"{out / 'report.html'}: open it in a browser; {work} can be deleted")
@@ -131,6 +132,7 @@ def colmap(
     """
     from epiprior.collection import database as colmap_database
     from epiprior.collection.images import find_images
+    from epiprior.collection.verify import judge_pairs
     from epiprior.io.colmap import check_colmap_output
 
     settings = options.chosen_settings(preset, features, max_image_size, max_features)
@@ -147,7 +149,7 @@ def colmap(
             raise typer.BadParameter(f"{database} has cameras already: --camera-mode, -model and -params come too late")
         filled = colmap_database.read_filled(database, images[0] if images else None, roots=roots)
         matched = _match(filled.images, given=filled.features, without=filled.verified, cameras=filled.cameras, **asked)
-        count = colmap_database.extend_database(database, matched, min_confidence)
+        count = colmap_database.extend_database(database, judge_pairs(matched, min_confidence))
     else:
         if not images:
             raise typer.BadParameter(f"{database} does not exist, and there are no photographs")
@@ -156,7 +158,7 @@ def colmap(
         how = colmap_database.CameraSettings(mode=camera_mode, model=camera_model, params=camera_params)
         cameras = colmap_database.infer_cameras(found, how)
         matched = _match(found, cameras=_by_name(found, cameras), **asked)
-        count = colmap_database.write_database(database, matched, cameras, min_confidence)
+        count = colmap_database.write_database(database, judge_pairs(matched, min_confidence), cameras)
     _tell(database, count, matched)
     say(f"map it: colmap mapper --database_path {database} --image_path {matched.images.root} --output_path sparse")
 
@@ -187,6 +189,7 @@ def hloc(
         epiprior hloc images/ --features feats.h5 --matches matches.h5 --pairs pairs.txt
     """
     from epiprior.collection.hloc import check_hloc_output, read_hloc_images, write_hloc_matches
+    from epiprior.collection.verify import judge_pairs
     from epiprior.io.features import read_hloc_features
 
     settings = options.chosen_settings(preset, "sift", max_image_size, None)
@@ -199,7 +202,7 @@ def hloc(
         threshold_px=threshold, settings=settings, work=work or Path(f"{matches}.work"),
         given=lambda name: read_hloc_features(features, name, roots=roots),
     )  # fmt: skip
-    _tell(matches, write_hloc_matches(matches, matched, min_confidence), matched)
+    _tell(matches, write_hloc_matches(matches, judge_pairs(matched, min_confidence)), matched)
 
 
 def _match(images: Any, **asked: Any) -> "MatchedCollection":

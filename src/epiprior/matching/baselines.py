@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from epiprior.features.describe import normalise_descriptors
 from epiprior.features.images import View
 from epiprior.matching.pair import PreparedPair, prepare_pair
-from epiprior.matching.standard import mutual_mask, similarity_weights
+from epiprior.matching.standard import Neighbours, mutual_mask, nearest_neighbours, similarity_weights
 from epiprior.presets import DEFAULT, PAPER, FeatureSettings, PreprocessSettings
 from epiprior.types import Features, Float32Array, FloatArray, IntArray, MatchSet
 
@@ -97,12 +98,55 @@ def snn_matches(
 
 def snn_set(prepared: PreparedPair, max_distance_ratio: float = 0.85) -> MatchSet:
     """Return `snn_matches` of a pair that was prepared with `snn_features`."""
-    forward = prepared.forward
-    distance, distance2 = (np.sqrt(np.maximum(2 - 2 * s.astype(np.float64), 0)) for s in (forward.best, forward.second))
-    ratio = np.divide(distance, distance2, out=np.ones_like(distance), where=distance2 > 0)
+    forward, ratio = prepared.forward, _euclidean_ratio(prepared.forward)
     keep = np.flatnonzero(mutual_mask(forward, prepared.backward) & (ratio < max_distance_ratio))
     rows = keep[np.argsort(ratio[keep], kind="stable")]
     return replace(_nearest(prepared, rows), distance_ratio=ratio[rows])
+
+
+def _euclidean_ratio(nearest: Neighbours) -> FloatArray:
+    """Return the ratio of the distances of unit descriptors to the nearest and to the second; 1 where both vanish."""
+    distance, distance2 = (np.sqrt(np.maximum(2 - 2 * s.astype(np.float64), 0)) for s in (nearest.best, nearest.second))
+    return np.divide(distance, distance2, out=np.ones_like(distance), where=distance2 > 0)
+
+
+def snn_of_largest(
+    features1: Features,
+    features2: Features,
+    *,
+    largest: int,
+    features: FeatureSettings = DEFAULT.features,
+    max_distance_ratio: float = 0.85,
+) -> MatchSet:
+    """Return those of `snn_matches` between the `largest` features of both images, in a fraction of the time.
+
+    Large features are few, and are often found again in other photographs (Wu, 3DV 2013). The nearest neighbours are
+    found among these, and must then hold among all: on repeated structure the rival of a match may be a smaller one.
+    """
+    settings, whole = replace(DEFAULT, features=snn_features(features)), (features1, features2)
+    rows = [np.sort(np.argsort(-one.scale, kind="stable")[:largest]) for one in whole]
+    some = [one.take(own) for one, own in zip(whole, rows, strict=True)]
+    prepared = prepare_pair(None, None, settings, features1=some[0], features2=some[1], ordered=True)
+    if prepared.turned:
+        rows, whole = rows[::-1], whole[::-1]
+    all1, all2 = (normalise_descriptors(one.descriptors, root=True, centred=False) for one in whole)
+    forward, backward = prepared.forward, prepared.backward
+    near1 = np.flatnonzero(mutual_mask(forward, backward) & (_euclidean_ratio(forward) < max_distance_ratio))
+    near2 = forward.nearest[near1]
+    back, _ = nearest_neighbours(prepared.descriptors[1][near2], all1)
+    there, _ = nearest_neighbours(prepared.descriptors[0][near1], all2)
+    forward = _updated(forward, near1, there, rows[1][near2])
+    backward = _updated(backward, near2, back, rows[0][near1])
+    return snn_set(replace(prepared, forward=forward, backward=backward), max_distance_ratio)
+
+
+def _updated(some: Neighbours, rows: IntArray, among_all: Neighbours, expected: IntArray) -> Neighbours:
+    """Return neighbours whose similarities of some rows are those among all; a ratio of 1 where another is nearer."""
+    nearest, best, second = some.nearest.copy(), some.best.copy(), some.second.copy()
+    same = among_all.nearest == expected
+    best[rows], second[rows] = among_all.best, np.where(same, among_all.second, among_all.best)
+    nearest[rows[~same]] = -1
+    return Neighbours(nearest, best, second)
 
 
 def generalized_matches(

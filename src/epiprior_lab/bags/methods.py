@@ -21,6 +21,7 @@ from epiprior.collection.images import find_images
 from epiprior.collection.match import MatchSettings, match_pair
 from epiprior.collection.run import MatchedCollection
 from epiprior.collection.store import PairStore
+from epiprior.collection.verify import judge_pairs
 from epiprior.io.colmap import add_camera, add_image, add_pair, quiet
 from epiprior.matching.baselines import snn_matches
 from epiprior.presets import Mode, find_preset
@@ -70,7 +71,7 @@ def know_cameras(
     if matched is not None:
         database.unlink()
         in_order = [(image.name, matched.cameras[image.name]) for image in matched.images.images]
-        write_database(database, matched, in_order, min_confidence)
+        write_database(database, judge_pairs(matched, min_confidence), in_order)
         return
     with pycolmap.Database.open(database) as opened:
         for image in opened.read_all_images():
@@ -138,7 +139,7 @@ def _by_epiprior(
     by_name = {image.name: camera for image, (_, camera) in zip(found.images, inferred, strict=True)}
     as_inferred = replace(matched, cameras=by_name)
     _match(as_inferred)  # where EXIF tells focal lengths
-    write_database(database, as_inferred, inferred, min_confidence)
+    write_database(database, judge_pairs(as_inferred, min_confidence), inferred)
     if method in MODES:
         return used, matched
     with contextlib.closing(store):
