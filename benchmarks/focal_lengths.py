@@ -67,7 +67,7 @@ def measure(bag: dict[str, View], work: Path, rng: np.random.Generator, outcomes
     fill()
     note("unknown", "refined always", model.map_once(database, work, out, 0, refine=True))
     note("unknown", "epiprior sfm", model.map_database(database, work, out))
-    if model._copy_with_median(database, median, 0):
+    if model.copy_with_median(database, median, 0):
         note("unknown", "median, refined last", model.map_database(median, work, out))
     for known, error in (("exact", 0.0), ("within 5 %", NOISE)):
         state = rng.bit_generator.state

@@ -13,29 +13,19 @@ import itertools
 import tempfile
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 from epiprior.collection.run import MatchedCollection, match_collection
 from epiprior.collection.store import MatchedPair
 from epiprior.collection.verify import CONTRADICTS, judge_pairs
+from epiprior_lab.bags.methods import true_camera
 from epiprior_lab.evaluation.distances import pose_errors
 from epiprior_lab.evaluation.truth import TruthSettings
 from epiprior_lab.labels.ground_truth import label_matches
-from epiprior_lab.pairsets import Camera, Pair, read_pair_set
+from epiprior_lab.pairsets import Pair, read_pair_set
 from epiprior_lab.params import load_study
 
 CONFIDENT = 0.5
 RIGHT_DEG = 10.0
-
-
-def camera_of(known: Camera) -> Any:
-    """Return a camera as one of pycolmap."""
-    import pycolmap
-
-    (fx, _, cx), (_, fy, cy) = known.K[:2]
-    camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", fx, known.width, known.height)
-    camera.params, camera.has_prior_focal_length = [fx, fy, cx + 0.5, cy + 0.5], True
-    return camera
 
 
 def outcome(pair: Pair | None, matched: MatchedCollection, places: tuple[int, int], found: MatchedPair) -> str:
@@ -71,8 +61,8 @@ def measure(pairs: tuple[Pair, ...]) -> tuple[Counter[tuple[str, str]], Counter[
         listed = Path(folder, "pairs.txt")
         own = [(pair.image1, pair.image2) for pair in pairs]
         listed.write_text("".join(f"{a.name} {b.name}\n" for a, b in own + apart))
-        cameras = {pair.image1.name: camera_of(pair.camera1) for pair in pairs if pair.camera1}
-        cameras |= {pair.image2.name: camera_of(pair.camera2) for pair in pairs if pair.camera2}
+        cameras = {pair.image1.name: true_camera(pair.camera1) for pair in pairs if pair.camera1}
+        cameras |= {pair.image2.name: true_camera(pair.camera2) for pair in pairs if pair.camera2}
         matched = match_collection([image for both in own for image in both], pairs=str(listed), cameras=cameras)
         names = [image.name for image in matched.images.images]
         of = {(pair.image1.name, pair.image2.name): pair for pair in pairs}

@@ -21,7 +21,7 @@ def naive_counts(matches, xy, near):
             if a in of[one, third] and b in of[two, third]:
                 meet = xy[third][of[one, third][a]] - xy[third][of[two, third][b]]
                 together = np.hypot(*meet) < near
-                closed += together and third == 2
+                closed += together
                 opened += not together
     return closed, opened
 
@@ -41,18 +41,21 @@ def test_counts_equal_the_naive_ones(seed):
     assert (found.closed, found.open) == naive_counts(matches, xy, 8.0)
     assert found.closed > 5
     assert found.open > 5
+    (ab, ac, bc), (a, b, c) = matches, xy
+    turned = (bc, ab[:, ::-1].copy(), ac[:, ::-1].copy())
+    assert count_loops(turned, (b, c, a)) == found
 
 
 def test_triplets_vote_where_it_is_not_chance():
-    votes = [Counts(*counts).vote for counts in ((0, 0), (0, 6), (6, 0), (100, 100), (100, 120), (120, 100))]
+    votes = [Counts(*counts).vote for counts in ((0, 0), (0, 3), (30, 0), (240, 60), (225, 75), (255, 45))]
     assert votes == [0.0] * 6
-    assert Counts(100, 150).vote == Counts(0, 7).vote < 0 < Counts(7, 0).vote == Counts(150, 100).vote
+    assert Counts(0, 6).vote == Counts(200, 100).vote < 0 < Counts(42, 0).vote == Counts(900, 100).vote
 
 
-def world(wrong, sure=None):
-    """Matches of four images of one scene, 30 features each, but for the pairs in `wrong`: each its own shift."""
+def world(wrong, sure=None, images=4):
+    """Matches of images of one scene, 30 features each, but for the pairs in `wrong`: each its own shift."""
     xy = np.column_stack([np.arange(30) * 20.0, np.zeros(30)])
-    pairs = list(itertools.combinations(range(4), 2))
+    pairs = list(itertools.combinations(range(images), 2))
     matches = {pair: np.column_stack([np.arange(30)] * 2) for pair in pairs}
     for shift, pair in enumerate(wrong, start=1):
         matches[pair] = np.column_stack([np.arange(30 - shift), np.arange(shift, 30)])
@@ -75,8 +78,18 @@ def test_a_pair_that_no_third_image_knows_stays():
     )
 
 
-def test_of_many_triplets_the_surest_are_looked_at(monkeypatch):
+def test_votes_of_a_pair_that_is_out_are_taken_back_once():
+    doubtful = {(0, 1): 0.5, (0, 2): 0.5}
+    assert world([(0, 1), (2, 3)], {(2, 3): 0.995, **doubtful}, images=5) == {(0, 1), (2, 3)}
+    assert world([(0, 1), (0, 2), (1, 2)], {(1, 2): 0.995, **doubtful}, images=5) == {(0, 1), (0, 2), (1, 2)}
+
+
+def test_of_many_triplets_those_with_the_surest_pairs_are_looked_at(monkeypatch):
     monkeypatch.setattr(loops, "_MOST", 1)
-    confidence = dict.fromkeys(itertools.combinations(range(5), 2), 0.7) | {(0, 4): 0.9, (1, 4): 0.9}
-    assert set(loops._triplets(confidence)) >= {(0, 1, 4)}
-    assert len(set(loops._triplets(confidence))) < 10
+    confidence = dict.fromkeys(itertools.combinations(range(4), 2), 0.7) | {(0, 3): 0.9, (1, 3): 0.9, (0, 1): 0.55}
+    assert loops.triplets({pair: confidence[pair] for pair in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3))}) == [
+        (0, 1, 2),
+        (0, 1, 3),
+    ]
+    thirds = [triplet for triplet in loops.triplets(confidence) if {0, 1} <= set(triplet)]
+    assert (0, 1, 3) in thirds

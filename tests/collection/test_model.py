@@ -126,12 +126,12 @@ def test_focal_lengths_beyond_those_of_lenses_have_drifted(database, tmp_path, r
 
 def test_the_median_of_pairs_stands_in_for_what_is_not_known(database, tmp_path, monkeypatch):
     know_focal_lengths(database, [1])
-    assert model._copy_with_median(database, tmp_path / "b.db", 0) == {2, 3, 4, 5}
+    assert model.copy_with_median(database, tmp_path / "b.db", 0) == {2, 3, 4, 5}
     found = {number: camera.focal_length for number, camera in model._cameras(tmp_path / "b.db").items()}
     assert found.pop(1) == GUESS
     assert len(set(found.values())) == 1
     np.testing.assert_allclose(found[2], TRUE, rtol=0.02)
     monkeypatch.setattr(model, "_FOCAL_RATIOS", (2.0, 5.0))
-    assert not model._copy_with_median(database, tmp_path / "c.db", 0)
+    assert not model.copy_with_median(database, tmp_path / "c.db", 0)
     monkeypatch.setattr(pycolmap, "calibrate_view_graph", lambda *_: False)
-    assert not model._copy_with_median(database, tmp_path / "d.db", 0)
+    assert not model.copy_with_median(database, tmp_path / "d.db", 0)

@@ -96,6 +96,7 @@ def extend_database(path: Path, judged: JudgedPairs) -> int:
     """Add the pairs that are relied on to a database that holds the features; return how many have a geometry.
 
     After a kill the database is as it was; after an error it holds the pairs before it, and may be extended again.
+    Pairs that it had before contradict none.
     """
     with writable(path, path) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}

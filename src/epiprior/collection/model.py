@@ -90,7 +90,7 @@ def map_again(database: Path, image_root: Path, out: Path, seed: int, models: li
     """
     with tempfile.TemporaryDirectory(dir=out.parent) as scratch:
         copy, again = Path(scratch, "database.db"), Path(scratch, "sparse")
-        unknown = _copy_with_median(database, copy, seed)
+        unknown = copy_with_median(database, copy, seed)
         better = _map(copy, image_root, again, seed, refine=True, unknown=unknown) if unknown else []
         if not better or better[0].drifted or len(better[0].seen) < len(models[0].seen):
             return models
@@ -136,7 +136,7 @@ def _adjust(reconstruction: Any) -> None:
     reconstruction.update_point_3d_errors()
 
 
-def _copy_with_median(database: Path, copy: Path, seed: int) -> set[int]:
+def copy_with_median(database: Path, copy: Path, seed: int) -> set[int]:
     """Copy a database, with the median of calibrated focal lengths as prior; return the cameras that had none.
 
     None are returned, and the copy is of no use, where calibration tells nothing. A length is in units of the longer

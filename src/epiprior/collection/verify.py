@@ -2,8 +2,7 @@
 
 Where EXIF or the user tells both focal lengths, an essential matrix is estimated on the matches of F, and judged as F
 is. It is often right where F is wrong, and then keeps fewer matches. Where most pairs lose many, these are the wrong
-focal lengths. A pair that is confident and wrong, on repeated structure, is told by a third image (`epiprior.collection
-.loops`).
+focal lengths. A pair that is confident and wrong, on repeated structure, is told by a third image.
 """
 
 import functools
@@ -12,10 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from epiprior.collection.loops import contradicted_pairs
 from epiprior.collection.store import MatchedPair
 from epiprior.features.images import blank_photograph
-from epiprior.types import FloatArray
+from epiprior.types import Float32Array, IntArray
 
 if TYPE_CHECKING:
     from epiprior.collection.run import MatchedCollection
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 CONTRADICTS = "contradicts the focal lengths"
 CONTRADICTS_OTHERS = "contradicts other pairs"
+_WITH_F = ("CALIBRATED", "UNCALIBRATED")
 _LOSES = 0.75  # a pair that keeps fewer of its matches; on validation scenes one in ten right pairs keeps below 0.98
 
 
@@ -69,7 +71,7 @@ def judge_pairs(matched: "MatchedCollection", least: float) -> JudgedPairs:
         remarks.append(f"{out} of {count} pairs contradict the focal lengths of their cameras: left out")
     chosen = matched if trusted else matched.plain
     why_not = [_why_not(*both, least) for both in zip(matched.plain, chosen, strict=True)]
-    contradicted = _contradicted(chosen, why_not)
+    contradicted = _contradicted(chosen, why_not, least)
     for row in contradicted:
         why_not[row] = CONTRADICTS_OTHERS
     if contradicted:
@@ -87,15 +89,28 @@ def _why_not(plain: MatchedPair, pair: MatchedPair, least: float) -> str:
     return "low confidence" if pair.confidence < least else ""
 
 
-def _contradicted(matched: "MatchedCollection", why_not: list[str]) -> list[int]:
-    """Return the rows of the pairs that are relied on, and contradict others."""
+def _contradicted(matched: "MatchedCollection", why_not: list[str], least: float) -> list[int]:
+    """Return the rows of the pairs that are relied on, and contradict others by the matches that F comes from.
+
+    Watermarks do not count. Homographies have no probability: the least that is relied on.
+    """
     limit = matched.how.settings.features.max_image_size
     rows = {pair: row for row, pair in enumerate(matched.pairs) if not why_not[row]}
-    confidence = {pair: matched.read(pair).confidence for pair in rows}
+    confidence = {}
+    for pair in list(rows):
+        found = matched.read(pair)
+        if found.geometry == "WATERMARK":
+            del rows[pair]
+        else:
+            confidence[pair] = found.confidence if found.geometry in _WITH_F else least
 
-    @functools.cache
-    def xy(place: int) -> FloatArray:
+    def matches(pair: tuple[int, int]) -> IntArray:
+        found = matched.read(pair)
+        return found.matches[: len(found.matches) - found.guided]
+
+    @functools.lru_cache(maxsize=512)
+    def xy(place: int) -> Float32Array:
         own = matched.features(place)
-        return own.xy / blank_photograph(own.image_size, limit).factor
+        return (own.xy / blank_photograph(own.image_size, limit).factor).astype(np.float32)
 
-    return sorted(rows[pair] for pair in contradicted_pairs(confidence, lambda pair: matched.read(pair).matches, xy))
+    return sorted(rows[pair] for pair in contradicted_pairs(confidence, matches, xy))

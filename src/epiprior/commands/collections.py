@@ -82,8 +82,8 @@ def sfm(
         found, pairs=pairs, mode=mode, workers=workers, scheduler=scheduler, estimator=estimator, seed=seed,
         threshold_px=threshold, settings=settings, work=work, cameras=_by_name(found, cameras),
     )  # fmt: skip
-    database.unlink(missing_ok=True)
     judged = judge_pairs(matched, min_confidence)
+    database.unlink(missing_ok=True)
     count = write_database(database, judged, cameras)
     say(f"{database}: {count} of {len(matched)} pairs have a geometry")
     _logger.info("mapping")

@@ -6,7 +6,7 @@ import numpy as np
 
 from epiprior.features.describe import normalise_descriptors
 from epiprior.features.images import View
-from epiprior.matching.pair import PreparedPair, prepare_pair
+from epiprior.matching.pair import PreparedPair, in_other_order, prepare_pair
 from epiprior.matching.standard import Neighbours, mutual_mask, nearest_neighbours, similarity_weights
 from epiprior.presets import DEFAULT, PAPER, FeatureSettings, PreprocessSettings
 from epiprior.types import Features, Float32Array, FloatArray, IntArray, MatchSet
@@ -123,12 +123,11 @@ def snn_of_largest(
     Large features are few, and are often found again in other photographs (Wu, 3DV 2013). The nearest neighbours are
     found among these, and must then hold among all: on repeated structure the rival of a match may be a smaller one.
     """
-    settings, whole = replace(DEFAULT, features=snn_features(features)), (features1, features2)
+    settings, turned = replace(DEFAULT, features=snn_features(features)), in_other_order(features1, features2)
+    whole = (features2, features1) if turned else (features1, features2)
     rows = [np.sort(np.argsort(-one.scale, kind="stable")[:largest]) for one in whole]
     some = [one.take(own) for one, own in zip(whole, rows, strict=True)]
-    prepared = prepare_pair(None, None, settings, features1=some[0], features2=some[1], ordered=True)
-    if prepared.turned:
-        rows, whole = rows[::-1], whole[::-1]
+    prepared = prepare_pair(None, None, settings, features1=some[0], features2=some[1])
     all1, all2 = (normalise_descriptors(one.descriptors, root=True, centred=False) for one in whole)
     forward, backward = prepared.forward, prepared.backward
     near1 = np.flatnonzero(mutual_mask(forward, backward) & (_euclidean_ratio(forward) < max_distance_ratio))
@@ -137,7 +136,9 @@ def snn_of_largest(
     there, _ = nearest_neighbours(prepared.descriptors[0][near1], all2)
     forward = _updated(forward, near1, there, rows[1][near2])
     backward = _updated(backward, near2, back, rows[0][near1])
-    return snn_set(replace(prepared, forward=forward, backward=backward), max_distance_ratio)
+    found = snn_set(replace(prepared, forward=forward, backward=backward), max_distance_ratio)
+    found = replace(found, feature1=rows[0][found.feature1], feature2=rows[1][found.feature2])
+    return found.swapped() if turned else found
 
 
 def _updated(some: Neighbours, rows: IntArray, among_all: Neighbours, expected: IntArray) -> Neighbours:

@@ -122,7 +122,7 @@ def prepare_pair(
         raise FeatureError(
             f"descriptors have {own1.descriptors.shape[1]} and {own2.descriptors.shape[1]} entries, expected the same"
         )
-    turned = ordered and _key(own1) > _key(own2)
+    turned = ordered and in_other_order(own1, own2)
     if turned:
         photo1, own1, photo2, own2 = photo2, own2, photo1, own1
     with watch.step("standard matches"):
@@ -146,8 +146,10 @@ def prepare_pair(
     )
 
 
-def _key(features: Features) -> bytes:
-    return hashlib.blake2b(features.xy.tobytes() + features.scale.tobytes()).digest()
+def in_other_order(features1: Features, features2: Features) -> bool:
+    """Return whether the order that features decide is the other one."""
+    keys = (hashlib.blake2b(one.xy.tobytes() + one.scale.tobytes()).digest() for one in (features1, features2))
+    return next(keys) > next(keys)
 
 
 def roll_hypotheses(prepared: PreparedPair, settings: PreprocessSettings = DEFAULT) -> tuple[float, ...]:

@@ -28,6 +28,7 @@ from epiprior.presets import Mode, find_preset
 from epiprior.types import FloatArray, IntArray
 from epiprior_lab.bags.choose import View
 from epiprior_lab.evaluation.learned import Columns
+from epiprior_lab.pairsets import Camera
 
 MODES: Mapping[str, Mode] = {"cascade": "cascade", "preprocess": "preprocess"}
 _Rows = Mapping[tuple[str, str], IntArray]
@@ -75,18 +76,19 @@ def know_cameras(
         return
     with pycolmap.Database.open(database) as opened:
         for image in opened.read_all_images():
-            camera = _true_camera(named[image.name])
+            camera = true_camera(named[image.name].camera)
             camera.camera_id = image.camera_id
             opened.update_camera(camera)
         opened.clear_two_view_geometries()
     _verify(database, list(named), seed)
 
 
-def _true_camera(view: View) -> Any:
+def true_camera(known: Camera) -> Any:
+    """Return a camera as one of pycolmap whose focal length is known."""
     import pycolmap
 
-    (fx, _, cx), (_, fy, cy) = view.camera.K[:2]
-    camera = pycolmap.Camera.create_from_model_name(0, "PINHOLE", fx, view.camera.width, view.camera.height)
+    (fx, _, cx), (_, fy, cy) = known.K[:2]
+    camera = pycolmap.Camera.create_from_model_name(0, "PINHOLE", fx, known.width, known.height)
     camera.params, camera.has_prior_focal_length = [fx, fy, cx + 0.5, cy + 0.5], True
     return camera
 
@@ -128,7 +130,7 @@ def _by_epiprior(
     pairs = list(itertools.combinations(range(len(found.images)), 2))
     keys = [feature_key(image, settings.features) for image in found.images]
     store = PairStore(work / "pairs.db")
-    cameras = {name: _true_camera(view) for name, view in named.items()}
+    cameras = {name: true_camera(view.camera) for name, view in named.items()}
     kept: dict[str, Any] = {"feature_keys": keys, "how": how, "store": store, "cameras": cameras}
     matched = MatchedCollection(images=found, pairs=pairs if method in MODES else [], work=work, **kept)
     for place, image in enumerate(found.images):
