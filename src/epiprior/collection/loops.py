@@ -21,7 +21,7 @@ Pair = tuple[int, int]
 Triplet = tuple[int, int, int]
 _SAME_PLACE_PX = 8.0  # features of several sizes sit at one corner
 _OPEN, _CHANCE = 0.2, 0.05  # more open loops are too many; and how sure of that a triplet has to be
-_VOTE = 2.0  # log odds; on rendered houses each vote is worth 4 and more, but triplets of a pair share pairs
+_VOTE = 2.0  # log odds; on rendered houses a vote against is worth 3.5, but the triplets of a pair share pairs
 _MOST = 20  # triplets of a pair that are looked at
 _SURE = 0.995
 
