@@ -105,9 +105,11 @@ def test_of_three_pairs_that_contradict_the_least_sure_is_left_out(tmp_path, mon
     found = match_collection(tmp_path / "set")
     sure = {(0, 1): 0.9, (0, 2): 0.6, (1, 2): 0.8}
     matches = {pair: np.column_stack([np.arange(20)] * 2) for pair in sure}
+    about = {}
 
     def changed(self, pair):
-        return replace(self.store.read(self.key(pair)), confidence=sure[pair], matches=matches[pair])
+        own = about if pair == (0, 2) else {}
+        return replace(self.store.read(self.key(pair)), confidence=sure[pair], matches=matches[pair], **own)
 
     monkeypatch.setattr(type(found), "read", changed)
     assert [why for _, why in judge_pairs(found, 0.5)] == ["", "", ""]
@@ -116,3 +118,8 @@ def test_of_three_pairs_that_contradict_the_least_sure_is_left_out(tmp_path, mon
     assert [why for _, why in judged] == ["", CONTRADICTS_OTHERS, ""]
     assert judged.remarks == ("1 of 3 pairs contradict others: left out",)
     assert [why for _, why in judge_pairs(found, 0.7)] == ["", "low confidence", ""]
+    for other in ({"guided": 20}, {"geometry": "WATERMARK"}):  # neither is evidence
+        about = other
+        assert [why for _, why in judge_pairs(found, 0.5)] == ["", "", ""]
+    about, sure[0, 2] = {"geometry": "PLANAR"}, 1.0  # which is no probability
+    assert [why for _, why in judge_pairs(found, 0.5)] == ["", CONTRADICTS_OTHERS, ""]

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom
 
+from epiprior.collection.pairs import Pair
 from epiprior.kernels.compilation import compiled
 from epiprior.types import Float32Array, IntArray
 
-Pair = tuple[int, int]
 Triplet = tuple[int, int, int]
 _SAME_PLACE_PX = 8.0  # features of several sizes sit at one corner
 _OPEN, _CHANCE = 0.2, 0.05  # more open loops are too many; and how sure of that a triplet has to be

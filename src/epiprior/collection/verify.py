@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from epiprior.collection.loops import contradicted_pairs
+from epiprior.collection.pairs import Pair
 from epiprior.collection.store import MatchedPair
 from epiprior.features.images import blank_photograph
 from epiprior.types import Float32Array, IntArray
@@ -104,7 +105,7 @@ def _contradicted(matched: "MatchedCollection", why_not: list[str], least: float
         else:
             confidence[pair] = found.confidence if found.geometry in _WITH_F else least
 
-    def matches(pair: tuple[int, int]) -> IntArray:
+    def matches(pair: Pair) -> IntArray:
         found = matched.read(pair)
         return found.matches[: len(found.matches) - found.guided]
 
