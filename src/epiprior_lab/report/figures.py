@@ -79,7 +79,7 @@ def curve_figure(results: Results, path: Path) -> None:
         for row, estimator in zip(axes, results.estimators, strict=True):
             for axis, group in zip(row, groups, strict=True):
                 member = results.masks[group]
-                errors = {n: results.errors.values(estimator, n)[member] for n in results.inputs(estimator)}
+                errors = {n: results.errors[estimator, n][member] for n in results.inputs(estimator)}
                 style.draw_curves(axis, looks, errors, np.arange(2.5, style.CURVE_LIMIT_PX, 2.5))
                 axis.set_ylim(0, 1.03 * member.sum())
                 axis.yaxis.set_major_locator(MaxNLocator(5, integer=True))

@@ -104,7 +104,7 @@ def _case(
     """Return one pair as one estimator sees it; `status` is by the keys of a run."""
     pair, inputs = results.tables.pairs.iloc[place], tuple(sides[estimator])
     known = sorted(results.tables.runs["seed"].unique())
-    errors = [results.errors.values(estimator, name)[place] for name in inputs]
+    errors = [results.errors[estimator, name][place] for name in inputs]
     seeds = [int(known[np.argsort(e, kind="stable")[(len(e) - 1) // 2]]) for e in errors]
     key = (pair["group"], pair["pair_id"], estimator)
     own: dict[str, Any] = {name: str(pair[name]) for name in ("group", "pair_id", "difficulty")}

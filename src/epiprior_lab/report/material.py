@@ -23,15 +23,19 @@ Maker = Callable[["Material"], Iterator[Block | tuple[()]]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Extras:
-    """What a report shows beside the results; each may be left out.
+class Material:
+    """Everything that a report of a `kind` of `report.TITLES` shows: the results, and what may be left out.
 
     `cascaded` are the estimators that the rule of the cascade is shown for. `known_sets` are listed even where they are
     not present. `classifiers` are from `read_classifiers`, `hand_over` is the search on validation scenes, `kinds` are
     the records of pairs of other kinds. `pictures`, by the names of the prose, and those of the `cases` are in the
-    report's folder already; `gallery` is that of the cases on photographs.
+    report's folder already; `gallery` is that of the cases on photographs. `report.write_report` adds `tables`, by the
+    names of their files, and `figures`, paths relative to the page.
     """
 
+    results: Results
+    params: ReportParams
+    kind: str
     rule: CascadeRule | None = None
     cascaded: Sequence[str] = ()
     bounds: Sequence[Bound] = ()
@@ -42,21 +46,13 @@ class Extras:
     pictures: Mapping[str, Path] = field(default_factory=dict)
     cases: Sequence[Case] = ()
     gallery: Path | None = None
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    figures: Mapping[str, str] = field(default_factory=dict)
 
-
-@dataclass(frozen=True, kw_only=True)
-class Material:
-    """Everything that a report shows.
-
-    `tables` are by the names of their files, `figures` paths relative to the page; `kind` is one of `report.TITLES`.
-    """
-
-    results: Results
-    params: ReportParams
-    tables: Mapping[str, pd.DataFrame]
-    figures: Mapping[str, str]
-    kind: str
-    extras: Extras
+    @property
+    def thresholds(self) -> tuple[float, ...]:
+        """The limits of a success and of a strict one, pixels, once if they are the same."""
+        return tuple(dict.fromkeys((self.params.success_px, self.params.strict_px)))
 
     def picture(self, name: str, **values: Any) -> tuple[Picture, ...]:
         """Return a figure; empty where there is none."""

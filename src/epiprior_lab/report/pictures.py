@@ -84,7 +84,7 @@ def _caption(pair: Pair) -> str:
 
 def rescued_pair(results: Results, group: str) -> str:
     """Return the pair of a group that gained most: the largest difference of successes, then the smallest error."""
-    before, after = (results.errors.values(EXAMPLE_ESTIMATOR, name) for name in (BASELINES[0], OURS))
+    before, after = (results.errors[EXAMPLE_ESTIMATOR, name] for name in (BASELINES[0], OURS))
     gain = (after < 10).mean(axis=1) - (before < 10).mean(axis=1)
     places = np.flatnonzero(results.masks[group])
     pair_ids = results.tables.pairs["pair_id"].to_numpy(str)

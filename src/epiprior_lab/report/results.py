@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,36 +30,24 @@ def where(table: pd.DataFrame, **values: Any) -> pd.DataFrame:
     return table
 
 
-class Rates:
-    """A measure of every run by estimator and input, as arrays in the order of ``tables.pairs``.
+class Rates(dict[tuple[str, str], FloatArray]):
+    """A measure of every run by estimator and input, shape (pairs, seeds), in the order of ``tables.pairs``.
 
-    `measure` has a value per row of ``tables.runs``; a pair without a run is a failure.
+    `measure` has a value per row of ``tables.runs``; infinite without an F, without a run, or where the truth does not
+    allow it.
     """
 
     def __init__(self, tables: Tables, measure: pd.Series[float]) -> None:
+        super().__init__()
         table = tables.runs[[*PAIR, "estimator", "input", "seed"]].assign(value=measure.fillna(np.inf).to_numpy())
         index = pd.MultiIndex.from_frame(tables.pairs[PAIR])
-        self._values: dict[tuple[str, str], FloatArray] = {}
         for (estimator, name), part in table.groupby(["estimator", "input"], sort=False):
             wide = part.set_index([*PAIR, "seed"])["value"].unstack("seed").reindex(index)
-            self._values[str(estimator), str(name)] = wide.fillna(np.inf).to_numpy(np.float64)
-
-    @property
-    def estimators(self) -> list[str]:
-        """Estimators in the order of the runs."""
-        return list(dict.fromkeys(estimator for estimator, _ in self._values))
-
-    def inputs(self, estimator: str) -> list[str]:
-        """Return the inputs of one estimator, in the order of the runs."""
-        return [name for owner, name in self._values if owner == estimator]
-
-    def values(self, estimator: str, name: str) -> FloatArray:
-        """Return the measure, shape (pairs, seeds); infinite without an F or where the truth does not allow it."""
-        return self._values[estimator, name]
+            self[str(estimator), str(name)] = wide.fillna(np.inf).to_numpy(np.float64)
 
     def of(self, estimator: str, name: str, threshold: float) -> FloatArray:
         """Return the share of seeds strictly below the threshold for each pair, shape (pairs,)."""
-        return np.asarray((self.values(estimator, name) < threshold).mean(axis=1))
+        return np.asarray((self[estimator, name] < threshold).mean(axis=1))
 
 
 class Results:
@@ -90,7 +78,7 @@ class Results:
         self.poses = Rates(tables, self.pose_deg)
         self.accepted = Rates(tables, runs["error_px"].where(runs["status"] == Status.OK))
         self.scenes = (pairs["group"] + "/" + pairs["scene"]).to_numpy(object)  # unique across groups
-        self.estimators = self.errors.estimators
+        self.estimators = list(dict.fromkeys(estimator for estimator, _ in self.errors))
 
     @property
     def hard_pairs(self) -> BoolArray:
@@ -101,14 +89,14 @@ class Results:
     @property
     def inputs_of_all(self) -> list[str]:
         """Every input of any estimator; baselines first, ours last."""
-        return _ordered(dict.fromkeys(name for e in self.estimators for name in self.errors.inputs(e)))
+        return ordered(dict.fromkeys(name for e in self.estimators for owner, name in self.errors if owner == e))
 
     def inputs(self, estimator: str) -> list[str]:
         """Return the inputs of one estimator; the one without preprocessing, which must be there, first, ours last."""
-        known = self.errors.inputs(estimator)
+        known = [name for owner, name in self.errors if owner == estimator]
         if not set(known) & set(BASELINES):
             raise ReportError(f"results of {estimator}: no input of {', '.join(BASELINES)}")
-        return _ordered(known)
+        return ordered(known)
 
     def rows_of(self, table: pd.DataFrame, member: BoolArray) -> pd.DataFrame:
         """Return the rows of a table, such as `Tables.rankings`, that are of certain pairs."""
@@ -152,5 +140,6 @@ def interval_columns(name: str, interval: Interval, factor: float = 1.0, *, scen
     return {column: 0.0 if abs(value) < ROUNDING else value * factor for column, value in ends.items()}
 
 
-def _ordered(names: Any) -> list[str]:
+def ordered(names: Iterable[str]) -> list[str]:
+    """Return inputs, baselines first, ours last."""
     return sorted(names, key=lambda name: (name not in BASELINES, name == OURS))

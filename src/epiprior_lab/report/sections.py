@@ -25,10 +25,9 @@ _SETTINGS = ("max_distance_ratio", "top_k", "one_to_one", "threshold_px", "refin
 
 def summary(m: Material) -> Iterator[Block]:
     """Yield the small table and the curve of successes."""
-    px = list(dict.fromkeys((m.params.success_px, m.params.strict_px)))
     yield say("summary")
     features = features_by_input(m.tables.get("rankings"))
-    yield summary_table(m.tables["successes"], m.tables.get(CASCADE), (ALL, *m.results.hard), px, features)
+    yield summary_table(m.tables["successes"], m.tables.get(CASCADE), (ALL, *m.results.hard), m.thresholds, features)
     yield m.picture("successes", seeds=m.results.tables.runs["seed"].nunique())
 
 
@@ -226,7 +225,7 @@ def cascade(m: Material) -> Iterator[Block]:
     for threshold, part in table[table["group"] == ALL].groupby("threshold_px", sort=False):
         worst = max(part.to_dict("records"), key=lambda row: float(row["lost"]))
         losses.append(f"{worst['estimator']}, {worst['lost']:.1f} of {worst['pairs']} pairs below {threshold:g} px")
-    rule = "" if m.extras.rule is None else rule_in_words(m.extras.rule)
+    rule = "" if m.rule is None else rule_in_words(m.rule)
     yield say(CASCADE, rule=rule, success_px=success_px, losses="; ".join(losses))
     rows: list[list[str]] = []
     counts = ("first", "always", "cascade", "lost", "won")
@@ -342,7 +341,7 @@ def limits(m: Material) -> Iterator[Block]:
 
 def gallery(m: Material) -> Iterator[Block]:
     """Yield the cases of the gallery."""
-    gallery, kept, cases = m.params.gallery, m.extras.gallery, m.extras.cases
+    gallery, kept, cases = m.params.gallery, m.gallery, m.cases
     if gallery is not None and cases:
         yield say("gallery", estimator=gallery.estimator, kept="" if kept is None else (kept / "index.html").as_posix())
         yield from case_blocks(cases, "gallery", "png")

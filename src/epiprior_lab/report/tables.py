@@ -43,7 +43,7 @@ def success_table(results: Results, thresholds_px: Sequence[float]) -> pd.DataFr
                 rates = {name: results.errors.of(estimator, name, threshold) for name in names}
                 shares = {name: results.per_scene(rates[name], member) for name in names}
                 for name in names:
-                    mean, deviation = success_curve(results.errors.values(estimator, name)[member], [threshold])
+                    mean, deviation = success_curve(results.errors[estimator, name][member], [threshold])
                     row: Cells = {"threshold_px": threshold, "group": group, "estimator": estimator, "input": name}
                     row |= {"pairs": int(member.sum()), "scenes": len(set(results.scenes[member]))}
                     row |= {"successes": mean[0], "successes_sd": deviation[0]}
@@ -136,13 +136,13 @@ def geometry_table(results: Results, pose_deg: Sequence[float], recall_at: float
         posed, true = member & with_pose, member & with_F
         for estimator in results.estimators:
             for name in results.inputs(estimator):
-                angles, distances = (r.values(estimator, name) for r in (results.poses, results.distances))
+                angles, distances = (r[estimator, name] for r in (results.poses, results.distances))
                 row: Cells = {"group": group, "estimator": estimator, "input": name, "cameras": int(posed.sum())}
                 for limit in pose_deg if posed.any() else ():
                     area = np.clip(1 - angles / limit, 0, 1).mean(axis=1)
                     row[f"auc_{limit:g}"] = float(area[posed].mean())
                     row[f"scene_auc_{limit:g}"] = float(results.per_scene(area, posed).mean())
-                right = results.errors.values(estimator, name)[posed] < success_px
+                right = results.errors[estimator, name][posed] < success_px
                 row["posed_successes"] = int(right.sum())
                 row["wrong_poses"] = int((right & (angles[posed] > max(pose_deg))).sum())
                 row["true_F"] = int(true.sum())

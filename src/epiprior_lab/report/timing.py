@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.evaluation.records import CASCADE, write_frame
 from epiprior_lab.evaluation.statistics import contribution
-from epiprior_lab.params import ReportParams
 from epiprior_lab.report import figures
-from epiprior_lab.report.bounds import Bound, bound_rows, judge
+from epiprior_lab.report.bounds import bound_rows, judge
 from epiprior_lab.report.cascade import cascade_table
+from epiprior_lab.report.material import Material
 from epiprior_lab.report.page import Page, Section, Table, picture
 from epiprior_lab.report.results import Results, where
 from epiprior_lab.report.style import label_grid, label_logarithmic, legend, looks_of, styled
@@ -121,23 +120,17 @@ def decision_figure(table: pd.DataFrame, path: Path) -> None:
         legend(figure, list(looks.values()), markers=True)
 
 
-def write_timings(
-    timings: pd.DataFrame,
-    results: Results,
-    out: Path,
-    params: ReportParams,
-    bounds: list[Bound],
-    cascaded: tuple[CascadeRule, Sequence[str]],
-) -> None:
+def write_timings(timings: pd.DataFrame, material: Material, out: Path) -> None:
     """Write tables, figures and a page of the times of an evaluation: ``times.md`` and what it shows.
 
-    `cascaded` is the rule of the cascade, and the estimators that it was timed for.
+    Of the `material` results, parameters, bounds, the rule of the cascade, which must be there, and the estimators that
+    it was timed for.
     """
-    threshold_px = params.success_px
-    overhead, seconds = overhead_table(timings, results, threshold_px), seconds_table(timings, threshold_px)
-    judged = judge(bounds, {"overhead": overhead})
-    thresholds = tuple(dict.fromkeys((params.success_px, params.strict_px)))
-    cascade = cascade_table(results, *cascaded, thresholds)
+    results, params, thresholds, rule = material.results, material.params, material.thresholds, material.rule
+    assert rule is not None
+    overhead = overhead_table(timings, results, params.success_px)
+    seconds, judged = seconds_table(timings, params.success_px), judge(material.bounds, {"overhead": overhead})
+    cascade = cascade_table(results, rule, material.cascaded, thresholds)
     decision = decision_table(timings, results, thresholds, cascade, usual=params.champion)
     decision_figure(decision, out / "decision.png")
     tables = {"overhead": overhead, "estimators": seconds, "decision": decision, "bounds": judged}

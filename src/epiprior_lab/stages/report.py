@@ -4,20 +4,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from epiprior.verification.cascade import load_cascade_rule
 from epiprior_lab.compute.tasks import single_threaded
-from epiprior_lab.evaluation.inputs import FIRST
-from epiprior_lab.evaluation.protocol import MODELS, as_shipped, make_protocol, pairs_of
-from epiprior_lab.evaluation.records import KindRecord, Tables, read_frame, read_table
+from epiprior_lab.evaluation.protocol import make_protocol, pairs_of
+from epiprior_lab.evaluation.records import KindRecord, read_frame, read_table
 from epiprior_lab.pairsets import known_sets
 from epiprior_lab.params import STUDY, Params, StudyParams, load_params, read_arguments
-from epiprior_lab.report.bounds import BOUNDS, load_bounds
 from epiprior_lab.report.figures import roll_figure
 from epiprior_lab.report.gallery import choose_cases, draw_cases
-from epiprior_lab.report.material import Extras
+from epiprior_lab.report.material import Material
 from epiprior_lab.report.pictures import contact_sheet, density_of_roll, example_picture, rescued_pair, rolled_pairs
-from epiprior_lab.report.report import HAND_OVER_COLUMNS, read_classifiers, read_results, write_report
-from epiprior_lab.report.results import Results
+from epiprior_lab.report.report import HAND_OVER_COLUMNS, read_classifiers, read_material, write_report
 
 KINDS = {"study": Path("data/kinds/kinds.csv"), "photographs": Path("data/real-kinds/kinds.csv")}
 GALLERY = Path("data/photographs-gallery")
@@ -25,9 +21,9 @@ OF_OTHER_STAGES = {name: f"timings/{name}.png" for name in ("decision", "overhea
 OF_STUDY = {"cascade": "cascade.png", **{name: f"analysis/{name}.png" for name in ("steps", "ablations", "limits")}}
 
 
-def study_extras(params: StudyParams, results: Results, common: Extras, out: Path) -> Extras:
+def study_material(params: StudyParams, common: Material, out: Path) -> Material:
     """Draw the pictures of the study, and add what else its report shows to what both show."""
-    own, figures = params.evaluate, out / "figures"
+    own, results, figures = params.evaluate, common.results, out / "figures"
     shown = {group: pairs_of(own, group) for group in own.groups}
     by_id = {(group, pair.pair_id): pair for group, pairs in shown.items() for pair in pairs}
     hard = results.hard[0]
@@ -46,12 +42,12 @@ def study_extras(params: StudyParams, results: Results, common: Extras, out: Pat
     )
 
 
-def photograph_extras(params: Params, results: Results, common: Extras, out: Path) -> Extras:
+def photograph_material(params: Params, common: Material, out: Path) -> Material:
     """Draw the gallery of photographs, and add what else their report shows to what both show."""
     gallery, own, cases = params.report.gallery, params.evaluate, []
     if gallery is not None:
         how: dict[str, Any] = {"rescued": gallery.rescued, "lost": gallery.lost, "success_px": params.report.success_px}
-        cases = choose_cases(results, gallery.estimator, **how)
+        cases = choose_cases(common.results, gallery.estimator, **how)
         shown = dict.fromkeys(case.group for case in cases)
         pairs = {(group, pair.pair_id): pair for group in shown for pair in pairs_of(own, group)}
         draw_cases(cases, pairs, make_protocol(params), photographs=GALLERY, frames=out / "gallery")
@@ -62,23 +58,16 @@ def main() -> None:
     """Write everything in ``<out>`` but what other stages write, and the gallery that stays here."""
     arguments = read_arguments(main.__doc__, params=STUDY, out=Path("reports"))
     params, out = load_params(arguments.params), arguments.out
-    own = params.evaluate
-    evaluated = Tables.read([Path(own.out) / group for group in own.groups])
-    results = read_results(evaluated, params.report, apart=own.apart or ())
     kind = "study" if isinstance(params, StudyParams) else "photographs"
-    common = Extras(
-        rule=load_cascade_rule(MODELS / "cascade.json"),
-        cascaded=as_shipped(make_protocol(params), FIRST),
-        bounds=load_bounds(BOUNDS, kind),
-        kinds=read_frame(KindRecord, KINDS[kind]),
-        pictures={name: out / path for name, path in OF_OTHER_STAGES.items()},
-    )
+    material = read_material(params.evaluate, params.report, kind, make_protocol(params))
+    pictures = {name: out / path for name, path in OF_OTHER_STAGES.items()}
+    material = replace(material, kinds=read_frame(KindRecord, KINDS[kind]), pictures=pictures)
     with single_threaded():
         if isinstance(params, StudyParams):
-            extras = study_extras(params, results, common, out)
+            material = study_material(params, material, out)
         else:
-            extras = photograph_extras(params, results, common, out)
-        write_report(results, params.report, extras, kind, out)
+            material = photograph_material(params, material, out)
+        write_report(material, out)
 
 
 if __name__ == "__main__":

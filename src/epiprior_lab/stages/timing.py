@@ -7,15 +7,13 @@ from rich.console import Console
 from rich.progress import track
 
 from epiprior.verification.cascade import load_cascade_rule
-from epiprior_lab.evaluation.inputs import FIRST
 from epiprior_lab.evaluation.learned import LEARNED
 from epiprior_lab.evaluation.peers import interpreter
-from epiprior_lab.evaluation.protocol import MODELS, as_shipped, make_protocol, pairs_of
-from epiprior_lab.evaluation.records import Tables, TimingRecord, to_frame, write_frame
+from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
+from epiprior_lab.evaluation.records import TimingRecord, to_frame, write_frame
 from epiprior_lab.evaluation.timing import spread_pairs, time_learned_pairs, time_pair
 from epiprior_lab.params import STUDY, StudyParams, load_params, read_arguments
-from epiprior_lab.report.bounds import BOUNDS, load_bounds
-from epiprior_lab.report.report import read_results
+from epiprior_lab.report.report import read_material
 from epiprior_lab.report.timing import write_timings
 
 
@@ -36,11 +34,8 @@ def main() -> None:
         records += time_learned_pairs(pairs, peer, protocol, seeds=seeds, **how)
     timings = to_frame(TimingRecord, records)
     write_frame(timings, arguments.out / "pairs.csv")
-    evaluated = Tables.read([Path(own.out) / group for group in own.groups])
-    results = read_results(evaluated, params.report, apart=own.apart or ())
-    bounds = load_bounds(BOUNDS, "study" if isinstance(params, StudyParams) else "photographs")
-    cascaded = rule, as_shipped(protocol, FIRST)
-    write_timings(timings, results, arguments.out, params.report, bounds, cascaded)
+    kind = "study" if isinstance(params, StudyParams) else "photographs"
+    write_timings(timings, read_material(own, params.report, kind, protocol), arguments.out)
 
 
 if __name__ == "__main__":

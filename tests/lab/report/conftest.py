@@ -3,7 +3,6 @@
 import itertools
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -13,7 +12,8 @@ from epiprior_lab.pairsets import known_sets
 from epiprior_lab.params import PHOTOGRAPHS, GalleryParams, load_params
 from epiprior_lab.report.bounds import BOUNDS, load_bounds
 from epiprior_lab.report.gallery import choose_cases
-from epiprior_lab.report.report import Extras, read_results, write_report
+from epiprior_lab.report.material import Material
+from epiprior_lab.report.report import read_results, write_report
 from synthetic_tables import APART, photograph_tables, study_tables
 
 ROOT = Path(__file__).parents[3]
@@ -45,14 +45,14 @@ def search():
 
 @pytest.fixture(scope="session")
 def study():
-    """Results of a study, the parameters of its report, and what else it shows."""
+    """What the report of a study shows."""
     params = replace(load_params(ROOT / "params.yaml").report, bootstrap_draws=100, hard_groups=("open",))
     results = read_results(study_tables(pairs=8), params)
     bounds = [bound for bound in load_bounds(ROOT / BOUNDS, "study") if bound.group in results.masks]
     bounds = [bound for bound in bounds if bound.estimator in ("usac", "epiprior", "every")]
     cascaded = tuple(results.tables.runs["estimator"].unique())
-    extras = Extras(rule=RULE, cascaded=cascaded, bounds=bounds, classifiers=metrics(), hand_over=search())
-    return SimpleNamespace(results=results, params=params, extras=extras)
+    how = {"rule": RULE, "cascaded": cascaded, "classifiers": metrics(), "hand_over": search()}
+    return Material(results=results, params=params, kind="study", bounds=bounds, **how)
 
 
 @pytest.fixture(scope="session")
@@ -64,23 +64,23 @@ def photographs(tmp_path_factory):
     results = read_results(photograph_tables(), params, apart=APART)
     cases = choose_cases(results, "usac", rescued=2, lost=1, success_px=10.0)
     bounds = load_bounds(ROOT / BOUNDS, "photographs")
-    how = {"rule": RULE, "cascaded": ("usac", "epiprior"), "gallery": root / "gallery"}
-    extras = Extras(bounds=bounds, known_sets=known_sets(), cases=cases, **how)
+    how = {"rule": RULE, "cascaded": ("usac", "epiprior"), "gallery": root / "gallery", "cases": cases}
     for folder, suffix in ((root / "out" / "gallery", "png"), (root / "gallery", "jpg")):
         folder.mkdir(parents=True)
         for case in cases:
             for name in case.inputs:
                 (folder / f"{case.name}-{name}.{suffix}").write_bytes(b"picture")
-    return SimpleNamespace(results=results, params=params, extras=extras, root=root)
+    how |= {"bounds": bounds, "known_sets": known_sets()}
+    return Material(results=results, params=params, kind="photographs", **how)
 
 
 @pytest.fixture(scope="session")
 def study_report(study, tmp_path_factory):
     out = tmp_path_factory.mktemp("reports")
-    return write_report(study.results, study.params, study.extras, "study", out), out
+    return write_report(study, out), out
 
 
 @pytest.fixture(scope="session")
 def photograph_report(photographs):
-    out = photographs.root / "out"
-    return write_report(photographs.results, photographs.params, photographs.extras, "photographs", out), out
+    out = photographs.gallery.parent / "out"
+    return write_report(photographs, out), out

@@ -3,7 +3,6 @@ from dataclasses import replace
 import pandas as pd
 
 from epiprior_lab.pairsets.changed import EVERY
-from epiprior_lab.report.material import Material
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.sections import changed
 from epiprior_lab.report.tables import changed_table
@@ -33,8 +32,7 @@ def test_changed_pairs_stand_beside_the_same_pairs_as_they_were(photographs):
     assert row["successes"] == 0
     learnt = table[table["input"] == "aliked"]
     assert (learnt["successes"] == learnt["unchanged"]).all()
-    how = {"params": photographs.params, "figures": {}, "kind": "photographs", "extras": photographs.extras}
-    blocks = list(changed(Material(results=results, tables={"changed": table}, **how)))
+    blocks = list(changed(replace(photographs, results=results, tables={"changed": table})))
     assert blocks[0].startswith(f"One pair in {EVERY}")
     assert [block.head for block in blocks[2::2]] == [["matches", "estimator", "as they are (2)", "turned90"]] * 2
     assert blocks[2].rows[2] == ["snn", row["estimator"], f"{row['unchanged']:.1f}", "0.0"]

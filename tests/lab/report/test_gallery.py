@@ -67,7 +67,7 @@ def test_lost_pairs_are_those_that_most_estimators_lose(swapped):
 
 
 def test_a_rescued_pair_shows_an_accepted_run(photographs):
-    (first, *_) = photographs.extras.cases
+    (first, *_) = photographs.cases
     runs = photographs.results.tables.runs
     own = (runs["group"] == first.group) & (runs["pair_id"] == first.pair_id) & (runs["input"] == "default")
     results = changed(photographs, status=runs["status"].mask(own, "degenerate"))

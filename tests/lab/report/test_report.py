@@ -50,12 +50,12 @@ def test_the_small_table_leads_every_group_and_estimator_has_its_rows_and_no_pho
     best = at.sort_values("successes", ascending=False, kind="stable").iloc[0]
     assert rows[2][1] == best["estimator"]
     assert float(rows[2][3].strip("*")) == pytest.approx(100 * best["successes"] / 12, abs=0.05)
-    out, cases = photograph_report[1], photographs.extras.cases
+    out, cases = photograph_report[1], photographs.cases
     page = Reader((out / "index.html").read_text())
     assert sum(image.startswith("gallery/") for image in page.images) == 2 * len(cases) > 0
     assert all(image.endswith(".png") for image in page.images)
     assert not list(out.rglob("*.jpg"))
-    kept = photographs.root / "gallery"
+    kept = photographs.gallery
     page = Reader((kept / "index.html").read_text())
     assert len(page.images) == 2 * len(cases)
     assert all((kept / image).is_file() for image in page.images)

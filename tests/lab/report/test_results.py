@@ -22,7 +22,7 @@ def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs_and_runs_are_unique
         assert found[k] == np.mean([error < 5.0 for error in runs["error_px"]])  # NaN is no success
         assert results.scenes[k] == f"{pair.group}/{pair.scene}"
     assert results.estimators == ["usac", "prosac", "generalized-ransac", "epiprior"]
-    assert results.errors.inputs("generalized-ransac") == ["generalized", "snn", "default"]
+    assert results.inputs("generalized-ransac") == ["generalized", "snn", "default"]
     tables = study_tables(pairs=1)
     double = replace(tables, runs=pd.concat([tables.runs, tables.runs.iloc[:1]], ignore_index=True))
     refused(ValueError, "duplicate", errors, double)
@@ -31,10 +31,10 @@ def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs_and_runs_are_unique
 def test_a_pair_without_runs_or_without_the_truth_is_a_failure():
     tables = photograph_tables()
     less = replace(tables, runs=tables.runs[tables.runs["pair_id"] != tables.pairs.iloc[0]["pair_id"]])
-    assert np.isinf(errors(less).values("usac", "default")[0]).all()
+    assert np.isinf(errors(less)["usac", "default"][0]).all()
     poses = Results(tables, by="group", hard=(), draws=10, seed=0).poses
     strecha = (tables.pairs["group"] == "strecha").to_numpy()  # no cameras
-    assert np.isinf(poses.values("usac", "default")[strecha]).all()
+    assert np.isinf(poses["usac", "default"][strecha]).all()
     runs = tables.runs.query("group == 'fox' and estimator == 'usac' and input == 'default'")
     angles = runs[["rotation_deg", "translation_deg"]].max(axis=1, skipna=False).fillna(np.inf)
-    np.testing.assert_array_equal(poses.values("usac", "default")[tables.pairs["group"] == "fox"].ravel(), angles)
+    np.testing.assert_array_equal(poses["usac", "default"][tables.pairs["group"] == "fox"].ravel(), angles)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,7 +55,7 @@ def test_overhead_is_a_ratio_of_means_its_bounds_are_medians_and_seconds_are_by_
 
 @pytest.mark.slow
 def test_files(study, timings, tmp_path):
-    write_timings(timings, study.results, tmp_path, study.params, WANTED, (study.extras.rule, study.extras.cascaded))
+    write_timings(timings, replace(study, bounds=WANTED), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {
         "bounds.csv", "decision.csv", "decision.png", "estimators.csv", "estimators.png", "overhead.csv",
         "overhead.png", "times.md",
@@ -65,7 +67,7 @@ def test_files(study, timings, tmp_path):
 
 def test_every_input_is_a_point(photographs, tmp_path):
     results, timings = photographs.results, timing_table(photographs.results.tables)
-    cascade = cascade_table(results, photographs.extras.rule, results.estimators, (10.0, 3.0))
+    cascade = cascade_table(results, photographs.rule, results.estimators, (10.0, 3.0))
     table = decision_table(timings, results, (10.0, 3.0), cascade, usual="magsac++")
     timed = ["standard", "generalized", "snn", "aliked", "default", "cascade"]
     assert table["input"].drop_duplicates().tolist() == timed
