@@ -14,8 +14,8 @@ from epiprior_lab.pairsets import KnownSet
 from epiprior_lab.params import ReportParams
 from epiprior_lab.report import text
 from epiprior_lab.report.bounds import Bound
-from epiprior_lab.report.gallery import Case
 from epiprior_lab.report.page import Block, Picture, Table, picture
+from epiprior_lab.report.pictures import Case
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.text import ALL, OURS, group_title, input_title, number, order_of
 

@@ -16,9 +16,9 @@ from epiprior_lab.report import figures, sections, tables
 from epiprior_lab.report.bounds import BOUNDS, judge, load_bounds
 from epiprior_lab.report.cascade import cascade_table
 from epiprior_lab.report.confidence import confidence_figure, confidence_table, kind_table
-from epiprior_lab.report.gallery import write_gallery
 from epiprior_lab.report.material import Maker, Material
 from epiprior_lab.report.page import Page, Section, say
+from epiprior_lab.report.pictures import write_gallery
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.text import ALL, DIFFICULTIES, OURS
 

@@ -14,9 +14,9 @@ from epiprior_lab.report.bounds import bound_rows
 from epiprior_lab.report.cascade import rule_in_words
 from epiprior_lab.report.confidence import kind_rows, score_rows
 from epiprior_lab.report.figures import MIN_BAR
-from epiprior_lab.report.gallery import case_blocks
 from epiprior_lab.report.material import Material, features_by_input, summary_table
 from epiprior_lab.report.page import Block, Table, say
+from epiprior_lab.report.pictures import case_blocks
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, ENOUGH_RIGHT, PRECISIONS
 from epiprior_lab.report.text import ALL, OURS, group_title, input_title, interval, number, order_of, share, signed
 

@@ -9,10 +9,9 @@ from epiprior_lab.evaluation.protocol import make_protocol, pairs_of
 from epiprior_lab.evaluation.records import KindRecord, read_frame, read_table
 from epiprior_lab.pairsets import known_sets
 from epiprior_lab.params import STUDY, Params, StudyParams, load_params, read_arguments
+from epiprior_lab.report import pictures as drawn
 from epiprior_lab.report.figures import roll_figure
-from epiprior_lab.report.gallery import choose_cases, draw_cases
 from epiprior_lab.report.material import Material
-from epiprior_lab.report.pictures import contact_sheet, density_of_roll, example_picture, rescued_pair, rolled_pairs
 from epiprior_lab.report.report import HAND_OVER_COLUMNS, read_classifiers, read_material, write_report
 
 KINDS = {"study": Path("data/kinds/kinds.csv"), "photographs": Path("data/real-kinds/kinds.csv")}
@@ -27,12 +26,14 @@ def study_material(params: StudyParams, common: Material, out: Path) -> Material
     shown = {group: pairs_of(own, group) for group in own.groups}
     by_id = {(group, pair.pair_id): pair for group, pairs in shown.items() for pair in pairs}
     hard = results.hard[0]
-    example = by_id[hard, rescued_pair(results, hard)]
-    densities = {key[1]: (*density_of_roll(by_id[key]), true) for key, true in rolled_pairs(results).items()}
+    example = by_id[hard, drawn.rescued_pair(results, hard)]
+    densities = {
+        key[1]: (*drawn.density_of_roll(by_id[key]), true) for key, true in drawn.rolled_pairs(results).items()
+    }
     roll_figure(densities, figures / "roll.png")
     count = params.report.contact_sheet_pairs or 0
-    sheet = contact_sheet({g: pairs[:count] for g, pairs in shown.items()}, figures / "contact_sheet.jpg")
-    pictures = {"contact_sheet": sheet, "example": example_picture(example, figures / "example.jpg")}
+    sheet = drawn.contact_sheet({g: pairs[:count] for g, pairs in shown.items()}, figures / "contact_sheet.jpg")
+    pictures = {"contact_sheet": sheet, "example": drawn.example_picture(example, figures / "example.jpg")}
     made = {name: out / path for name, path in OF_STUDY.items()}
     return replace(
         common,
@@ -47,10 +48,10 @@ def photograph_material(params: Params, common: Material, out: Path) -> Material
     gallery, own, cases = params.report.gallery, params.evaluate, []
     if gallery is not None:
         how: dict[str, Any] = {"rescued": gallery.rescued, "lost": gallery.lost, "success_px": params.report.success_px}
-        cases = choose_cases(common.results, gallery.estimator, **how)
+        cases = drawn.choose_cases(common.results, gallery.estimator, **how)
         shown = dict.fromkeys(case.group for case in cases)
         pairs = {(group, pair.pair_id): pair for group in shown for pair in pairs_of(own, group)}
-        draw_cases(cases, pairs, make_protocol(params), photographs=GALLERY, frames=out / "gallery")
+        drawn.draw_cases(cases, pairs, make_protocol(params), photographs=GALLERY, frames=out / "gallery")
     return replace(common, known_sets=known_sets(), cases=cases, gallery=GALLERY)
 
 

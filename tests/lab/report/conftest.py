@@ -11,8 +11,8 @@ from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.pairsets import known_sets
 from epiprior_lab.params import PHOTOGRAPHS, GalleryParams, load_params
 from epiprior_lab.report.bounds import BOUNDS, load_bounds
-from epiprior_lab.report.gallery import choose_cases
 from epiprior_lab.report.material import Material
+from epiprior_lab.report.pictures import choose_cases
 from epiprior_lab.report.report import read_results, write_report
 from synthetic_tables import APART, photograph_tables, study_tables
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from epiprior_lab.report.gallery import choose_cases
+from epiprior_lab.report.pictures import choose_cases
 from epiprior_lab.report.report import read_results
 from synthetic_tables import APART, PHOTOGRAPH_INPUTS
 
