@@ -17,7 +17,7 @@ from epiprior_lab.evaluation.records import RANKS, right_column
 from epiprior_lab.report import style, text
 from epiprior_lab.report.results import Results, where
 from epiprior_lab.report.style import DOTS, GRID, INK, MUTED, SERIES, label_grid, legend, looks_of, styled
-from epiprior_lab.report.tables import ENOUGH_IN_BIN, calibration_sums
+from epiprior_lab.report.tables import calibration_sums, reliability
 from epiprior_lab.report.text import ALL, METRIC_TITLES, Look, group_title, input_title, order_of, setting
 
 MIN_BAR = 30  # a share of fewer runs says little
@@ -176,9 +176,7 @@ def calibration_figure(results: Results, path: Path) -> None:
             upper.plot([0, 1], [0, 1], color=MUTED, lw=1, ls=(0, (2, 2)))
             for i, (group, member) in enumerate(results.groups(results.main[:-1] or results.main)):
                 sums = calibration_sums(results.rows_of(of_input, member))
-                enough = sums.count >= ENOUGH_IN_BIN
-                stated, right = (values[enough] / sums.count[enough] for values in (sums.probability, sums.right))
-                upper.plot(stated, right, color=SERIES[i % len(SERIES)], marker="o", ms=3.5, lw=1.4, label=group)
+                upper.plot(*reliability(sums), color=SERIES[i % len(SERIES)], marker="o", ms=3.5, lw=1.4, label=group)
             sums = calibration_sums(results.rows_of(of_input, results.masks[ALL]))
             width = 1 / len(sums.count)
             place = (np.arange(len(sums.count)) + 0.5) * width

@@ -65,28 +65,24 @@ def _compact(at: pd.DataFrame, m: Material) -> Table:
         cells += [_side_by_side(m, records, (estimator, group), "scene_share") for group in by_scene]
         rows.append([estimator, *cells])
     pairs = at.drop_duplicates("group").set_index("group")["pairs"]
-    head = [f"{_names(m)}, below {m.params.success_px:g} px", *(group_title(g, int(pairs[g])) for g in groups)]
+    names = " / ".join(map(input_title, _compared(m)))
+    head = [f"{names}, below {m.params.success_px:g} px", *(group_title(g, int(pairs[g])) for g in groups)]
     return Table(head=[*head, "ours over X_L", *(f"{g}, % per scene" for g in by_scene)], rows=rows)
 
 
 def _side_by_side(
     m: Material, records: Mapping[Any, text.Row], place: tuple[str, str], column: str, digits: int = 0, unit: int = 100
 ) -> str:
-    """Return a measure of an estimator in a group, on all inputs in one cell, the best bold."""
-    values = (unit * records.get((*place, name), {}).get(column, np.nan) for name in _inputs(m, place[0]))
+    """Return a measure of an estimator in a group, on all inputs of `_compared` in one cell, the best bold."""
+    without = m.results.inputs(place[0])[0]
+    names = [without if name in text.BASELINES else name for name in _compared(m)]
+    values = (unit * records.get((*place, name), {}).get(column, np.nan) for name in names)
     return " / ".join(cell or "–" for cell in text.best_bold(values, digits))
 
 
-def _names(m: Material) -> str:
-    """Return the inputs side by side, as their numbers stand in one cell."""
-    return " / ".join(input_title(n) for n in m.results.inputs_of_all if n not in ("generalized", "paper"))
-
-
-def _inputs(m: Material, estimator: str) -> list[str]:
-    """Return the inputs of `_names`, with what this estimator gets without preprocessing; it may lack some of them."""
-    without = m.results.inputs(estimator)[0]
-    shown = [name for name in m.results.inputs_of_all if name not in ("generalized", "paper")]
-    return [without if name in text.BASELINES else name for name in shown]
+def _compared(m: Material) -> list[str]:
+    """Return the inputs whose numbers stand side by side in one cell; the first is the one without preprocessing."""
+    return [name for name in m.results.inputs_of_all if name not in ("generalized", "paper")]
 
 
 def changed(m: Material) -> Iterator[Block]:
@@ -162,7 +158,8 @@ def poses(m: Material) -> Iterator[Block]:
         for estimator in order_of(at["estimator"])
     ]
     cameras = at.drop_duplicates("group").set_index("group")["cameras"].to_dict()
-    head = [_names(m), *(f"{group_title(g, cameras.get(g, 0))}, {t:g}°" for g, t in places)]
+    head = [" / ".join(map(input_title, _compared(m)))]
+    head += (f"{group_title(g, cameras.get(g, 0))}, {t:g}°" for g, t in places)
     yield Table(head=head, rows=rows)
     columns: dict[str, str] = {}
     for limit in degrees:
@@ -202,16 +199,14 @@ def calibration(m: Material) -> Iterator[Block]:
     sentences, rows = [say("calibration")], []
     for group, part in m.groups_of("calibration"):
         records: Sequence[text.Row] = part.to_dict("records")
+        title = group_title(group)
         for row in records:
-            title = group_title(group)
             if row["input"] == OURS and not np.isnan(row.get("gap_stated", np.nan)):
                 name = "calibration of all" if group == ALL else "calibration of a group"
                 sentences.append(say(name, title=title[0].upper() + title[1:], **row))
-            rows.append(
-                [input_title(row["input"]), title, f"{row['matches']:,}", f"{row['right']:,}"]
-                + [number(row["brier_score"], 4), number(row["expected_calibration_error"], 4)]
-                + [share(row["lowest_share"]), number(row["upper_error"], 4)]
-            )
+            cells = [input_title(row["input"]), title, f"{row['matches']:,}", f"{row['right']:,}"]
+            cells += (number(row[name], 4) for name in ("brier_score", "expected_calibration_error"))
+            rows.append([*cells, share(row["lowest_share"]), number(row["upper_error"], 4)])
     yield " ".join(sentences)
     yield m.picture("calibration", enough=ENOUGH_IN_BIN)
     head = ("matches", "pairs", "ranked", "right", "Brier score", "calibration error", "in lowest bin", "others")
@@ -255,8 +250,8 @@ def pairs(m: Material) -> Iterator[Block]:
 
 def method(m: Material) -> Iterator[Block]:
     """Yield how it was measured, and what stands behind each estimator."""
-    learned = [input_title(name) for name in m.results.inputs_of_all if name in LEARNED]
-    rankers = [input_title(n) for n in m.results.inputs_of_all if n in text.RANKERS]
+    inputs = m.results.inputs_of_all
+    learned, rankers = ([input_title(n) for n in inputs if n in some] for some in (LEARNED, text.RANKERS))
     peers = f" {text.listed(rankers)}: rankers of others on our features, handed over as they are." if rankers else ""
     peers += f" {text.listed(learned)}: {say('learned')}" if learned else ""
     yield say("method", peers=peers, seeds=m.results.tables.runs["seed"].nunique())
@@ -328,23 +323,20 @@ def limits(m: Material) -> Iterator[Block]:
     known = {"champion": m.params.champion, "success_px": m.params.success_px}
     name = "limits" if records[0]["failing"] else "no limits"
     yield say(name, **records[0], **known, nobody=records[0]["failing"] - records[0]["anyone"])
-    titles = {"pairs": "pairs", "failing": "failing"}
+    titles = {"group": "hard pairs of", "pairs": "pairs", "failing": "failing"}
     titles |= {"precision_failing": "top 100, failing", "precision_solved": "top 100, solved"}
     titles |= {"other_input": "solved by it on another input", "other_estimator": "by another on ours"}
     titles["anyone"] = "by any on any input"
-    rows = [
-        [str(row["group"]), *(number(row[n]) if n.startswith("precision") else str(row[n]) for n in titles)]
-        for row in records
-    ]
-    yield Table(head=("hard pairs of", *titles.values()), rows=rows)
+    rows = [[number(row[n]) if n.startswith("precision") else str(row[n]) for n in titles] for row in records]
+    yield Table(head=list(titles.values()), rows=rows)
 
 
 def gallery(m: Material) -> Iterator[Block]:
     """Yield the cases of the gallery."""
-    gallery, kept, cases = m.params.gallery, m.gallery, m.cases
-    if gallery is not None and cases:
-        yield say("gallery", estimator=gallery.estimator, kept="" if kept is None else (kept / "index.html").as_posix())
-        yield from case_blocks(cases, "gallery", "png")
+    shown, kept = m.params.gallery, m.gallery
+    if shown is not None and kept is not None and m.cases:
+        yield say("gallery", estimator=shown.estimator, kept=(kept / "index.html").as_posix())
+        yield from case_blocks(m.cases, "gallery", "png")
 
 
 def bounds(m: Material) -> Iterator[Block]:

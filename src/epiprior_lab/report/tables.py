@@ -1,13 +1,14 @@
 """Tables of the report, one row per group of pairs and whatever is compared; each becomes a CSV file of its name."""
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from epiprior.estimators import find_estimator
-from epiprior.types import Status
+from epiprior.types import FloatArray, Status
 from epiprior_lab.evaluation.records import right_column
 from epiprior_lab.evaluation.statistics import Interval, success_curve
 from epiprior_lab.measures import CalibrationBins
@@ -35,30 +36,26 @@ def success_table(results: Results, thresholds_px: Sequence[float]) -> pd.DataFr
     of its 95 % interval, ``_low`` and ``_high``; NaN for that input itself.
     """
     rows = []
-    for threshold in thresholds_px:
-        for group, member in results.groups():
-            for estimator in results.estimators:
-                names = results.inputs(estimator)
-                key = group, estimator, str(threshold)
-                rates = {name: results.errors.of(estimator, name, threshold) for name in names}
-                shares = {name: results.per_scene(rates[name], member) for name in names}
-                for name in names:
-                    mean, deviation = success_curve(results.errors[estimator, name][member], [threshold])
-                    row: Cells = {"threshold_px": threshold, "group": group, "estimator": estimator, "input": name}
-                    row |= {"pairs": int(member.sum()), "scenes": len(set(results.scenes[member]))}
-                    row |= {"successes": mean[0], "successes_sd": deviation[0]}
-                    row["successes_ok"] = float(results.accepted.of(estimator, name, threshold)[member].sum())
-                    row["scene_share"] = float(shares[name].mean())
-                    base = baseline_of(name, names)
-                    if name != base:
-                        gain = results.compare(rates[base], rates[name], member, *key).contribution
-                        scene_gain = results.compare_scenes(shares[base], shares[name], *key).difference
-                        row |= results.interval("gain", gain, member)
-                        row |= results.interval("scene_gain", scene_gain, member)
-                    if name == OURS and SNN in names:
-                        snn_gain = results.compare(rates[SNN], rates[name], member, *key).contribution
-                        row |= results.interval("snn_gain", snn_gain, member)
-                    rows.append(row)
+    for threshold, (group, member), estimator in product(thresholds_px, results.groups(), results.estimators):
+        names, key = results.inputs(estimator), (group, estimator, str(threshold))
+        rates = {name: results.errors.of(estimator, name, threshold) for name in names}
+        shares = {name: results.per_scene(rates[name], member) for name in names}
+        for name in names:
+            mean, deviation = success_curve(results.errors[estimator, name][member], [threshold])
+            row: Cells = {"threshold_px": threshold, "group": group, "estimator": estimator, "input": name}
+            row |= {"pairs": int(member.sum()), "scenes": len(set(results.scenes[member]))}
+            row |= {"successes": mean[0], "successes_sd": deviation[0]}
+            row["successes_ok"] = float(results.accepted.of(estimator, name, threshold)[member].sum())
+            row["scene_share"] = float(shares[name].mean())
+            base = baseline_of(name, names)
+            if name != base:
+                gain = results.compare(rates[base], rates[name], member, *key).contribution
+                scene_gain = results.compare_scenes(shares[base], shares[name], *key).difference
+                row |= results.interval("gain", gain, member) | results.interval("scene_gain", scene_gain, member)
+            if name == OURS and SNN in names:
+                snn_gain = results.compare(rates[SNN], rates[name], member, *key).contribution
+                row |= results.interval("snn_gain", snn_gain, member)
+            rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -71,20 +68,17 @@ def duel_table(results: Results, champion: str, thresholds_px: Sequence[float]) 
     """
     if champion not in results.estimators:
         raise ReportError(f"no results of {champion}, only of {', '.join(results.estimators)}")
+    asked = [name for name in (OURS, SNN) if name in results.inputs(champion)]
     rows = []
-    for threshold in thresholds_px:
-        for group, member in results.groups(results.main):
-            for name in (n for n in (OURS, SNN) if n in results.inputs(champion)):
-                own = results.errors.of(champion, name, threshold)
-                rivals = (e for e in results.estimators if e != champion and name in results.inputs(e))
-                for estimator in rivals:
-                    other = results.errors.of(estimator, name, threshold)
-                    got = results.compare(other, own, member, "duel", group, estimator, name, str(threshold))
-                    n = int(member.sum())
-                    row: Cells = {"threshold_px": threshold, "group": group, "input": name, "estimator": estimator}
-                    row |= {"pairs": n, "champion": got.with_step.value * n, "other": got.without.value * n}
-                    row |= results.interval("difference", got.difference, member, n)
-                    rows.append(row | {"decided": decided(got.difference)})
+    for threshold, (group, member), name in product(thresholds_px, results.groups(results.main), asked):
+        own, n = results.errors.of(champion, name, threshold), int(member.sum())
+        for estimator in (e for e in results.estimators if e != champion and name in results.inputs(e)):
+            other = results.errors.of(estimator, name, threshold)
+            got = results.compare(other, own, member, "duel", group, estimator, name, str(threshold))
+            row: Cells = {"threshold_px": threshold, "group": group, "input": name, "estimator": estimator}
+            row |= {"pairs": n, "champion": got.with_step.value * n, "other": got.without.value * n}
+            row |= results.interval("difference", got.difference, member, n)
+            rows.append(row | {"decided": decided(got.difference)})
     return pd.DataFrame(rows)
 
 
@@ -132,24 +126,22 @@ def geometry_table(results: Results, pose_deg: Sequence[float], recall_at: float
         for column in ("translation_deg", "distance")
     )  # pairs for which any run has a value: those whose truth allows the measure
     rows = []
-    for group, member in results.groups():
+    for (group, member), estimator in product(results.groups(), results.estimators):
         posed, true = member & with_pose, member & with_F
-        for estimator in results.estimators:
-            for name in results.inputs(estimator):
-                angles, distances = (r[estimator, name] for r in (results.poses, results.distances))
-                row: Cells = {"group": group, "estimator": estimator, "input": name, "cameras": int(posed.sum())}
-                for limit in pose_deg if posed.any() else ():
-                    area = np.clip(1 - angles / limit, 0, 1).mean(axis=1)
-                    row[f"auc_{limit:g}"] = float(area[posed].mean())
-                    row[f"scene_auc_{limit:g}"] = float(results.per_scene(area, posed).mean())
-                right = results.errors[estimator, name][posed] < success_px
-                row["posed_successes"] = int(right.sum())
-                row["wrong_poses"] = int((right & (angles[posed] > max(pose_deg))).sum())
-                row["true_F"] = int(true.sum())
-                if true.any():
-                    row["distance_recall"] = float((distances[true] < recall_at).mean())
-                    row["median_distance"] = float(np.minimum(np.median(distances[true]), 1.0))
-                rows.append(row)
+        for name in results.inputs(estimator):
+            angles, distances = results.poses[estimator, name], results.distances[estimator, name]
+            row: Cells = {"group": group, "estimator": estimator, "input": name, "cameras": int(posed.sum())}
+            for limit in pose_deg if posed.any() else ():
+                area = np.clip(1 - angles / limit, 0, 1).mean(axis=1)
+                row[f"auc_{limit:g}"] = float(area[posed].mean())
+                row[f"scene_auc_{limit:g}"] = float(results.per_scene(area, posed).mean())
+            right = results.errors[estimator, name][posed] < success_px
+            wrong = right & (angles[posed] > max(pose_deg))
+            row |= {"posed_successes": int(right.sum()), "wrong_poses": int(wrong.sum()), "true_F": int(true.sum())}
+            if true.any():
+                row["distance_recall"] = float((distances[true] < recall_at).mean())
+                row["median_distance"] = float(np.minimum(np.median(distances[true]), 1.0))
+            rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -170,22 +162,21 @@ def ranking_table(results: Results) -> pd.DataFrame:
     keys = sorted(parts, key=lambda key: (key[0] not in BASELINES, key[0] == OURS))
     base = next((parts[key] for key in (("standard", "final"), *keys) if key in parts), None)
     rows = []
-    for group, member in results.groups():
-        for key in keys:
-            part, has = parts[key], member & parts[key]["right"].notna().to_numpy()
-            if base is None or not has.any():
-                continue
-            row: Cells = {"group": group, "input": key[0], "ranking": key[1], "pairs": int(has.sum())}
-            row |= {name: float(part.loc[has, name].mean()) for name in ("features", "matches", "right", *PRECISIONS)}
-            for name in PRECISIONS:
-                row[f"scene_{name}"] = float(results.per_scene(part[name].to_numpy(np.float64), has).mean())
-            row["enough"] = float((part.loc[has, "right"] >= ENOUGH_RIGHT).mean())
-            if part is not base:
-                both = has & base["right"].notna().to_numpy()
-                a, b = (p["precision_100"].to_numpy(np.float64) for p in (base, part))
-                found = results.compare(a, b, both, "ranking", group, key[0] if key[1] == "final" else "/".join(key))
-                row |= results.interval("gain", found.difference, both)
-            rows.append(row)
+    for (group, member), key in product(results.groups(), keys):
+        part, has = parts[key], member & parts[key]["right"].notna().to_numpy()
+        if base is None or not has.any():
+            continue
+        row: Cells = {"group": group, "input": key[0], "ranking": key[1], "pairs": int(has.sum())}
+        row |= {name: float(part.loc[has, name].mean()) for name in ("features", "matches", "right", *PRECISIONS)}
+        for name in PRECISIONS:
+            row[f"scene_{name}"] = float(results.per_scene(part[name].to_numpy(np.float64), has).mean())
+        row["enough"] = float((part.loc[has, "right"] >= ENOUGH_RIGHT).mean())
+        if part is not base:
+            both = has & base["right"].notna().to_numpy()
+            a, b = (p["precision_100"].to_numpy(np.float64) for p in (base, part))
+            found = results.compare(a, b, both, "ranking", group, key[0] if key[1] == "final" else "/".join(key))
+            row |= results.interval("gain", found.difference, both)
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -194,6 +185,12 @@ def calibration_sums(calibration: pd.DataFrame) -> CalibrationBins:
     sums = calibration.groupby("bin", sort=True)[["count", "right", "probability", "squared_error"]].sum()
     kinds = {"count": np.int64, "right": np.int64, "probability": np.float64, "squared_error": np.float64}
     return CalibrationBins(**{name: sums[name].to_numpy(kind) for name, kind in kinds.items()})
+
+
+def reliability(sums: CalibrationBins) -> FloatArray:
+    """Return mean probability and share of right matches of the bins of `ENOUGH_IN_BIN` matches or more."""
+    stated, right, count = sums.curve.T
+    return np.stack([stated, right])[:, count >= ENOUGH_IN_BIN]
 
 
 def calibration_table(results: Results) -> pd.DataFrame:
@@ -209,19 +206,17 @@ def calibration_table(results: Results) -> pd.DataFrame:
         of_group = results.rows_of(results.tables.calibration, member)
         for name in order_of(of_group["input"]):
             sums = calibration_sums(of_group[of_group["input"] == name])
-            if not sums.count.sum():
+            if not sums.count.any():
                 continue
-            row: Cells = {"group": group, "input": name}
-            row |= {"matches": int(sums.count.sum()), "right": int(sums.right.sum())}
+            count, right = int(sums.count.sum()), int(sums.right.sum())
+            row: Cells = {"group": group, "input": name, "matches": count, "right": right}
             row |= {"brier_score": sums.brier_score, "expected_calibration_error": sums.expected_calibration_error}
-            row["lowest_share"] = float(sums.count[0] / sums.count.sum())
             upper = CalibrationBins(**{column: values[1:] for column, values in vars(sums).items()})
-            row["upper_error"] = upper.expected_calibration_error
-            enough = np.flatnonzero(sums.count >= ENOUGH_IN_BIN)
-            if len(enough):
-                stated, right = (values[enough] / sums.count[enough] for values in (sums.probability, sums.right))
-                for place, k in (("gap", int(np.argmax(np.abs(stated - right)))), ("top", -1)):
-                    row |= {f"{place}_stated": float(stated[k]), f"{place}_right": float(right[k])}
+            row |= {"lowest_share": float(sums.count[0] / count), "upper_error": upper.expected_calibration_error}
+            stated, truly = reliability(sums)
+            if len(stated):
+                for place, k in (("gap", int(np.argmax(np.abs(stated - truly)))), ("top", -1)):
+                    row |= {f"{place}_stated": float(stated[k]), f"{place}_right": float(truly[k])}
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -260,7 +255,7 @@ def limits_table(results: Results, champion: str, success_px: float) -> pd.DataF
     hard, none = results.hard_pairs, np.zeros(len(results.scenes), np.bool_)
     if not hard.any() or OURS not in results.inputs(champion):
         return pd.DataFrame()
-    solved = {(e, n): results.errors.of(e, n, success_px) > 0.5 for e in results.estimators for n in results.inputs(e)}
+    solved = {key: results.errors.of(*key, success_px) > 0.5 for key in results.errors}
     by = {
         "other_input": [own for (who, name), own in solved.items() if who == champion and name != OURS],
         "other_estimator": [own for (who, name), own in solved.items() if who != champion and name == OURS],
@@ -334,14 +329,12 @@ def estimator_table(results: Results) -> pd.DataFrame:
     ``max_iterations`` caps the samples of a run, per roll hypothesis; ``hypotheses`` is the median of those of both
     over all runs, where the backend tells.
     """
-    medians = results.tables.runs.groupby("estimator")["iterations"].median()
-    rows = []
-    for name in results.estimators:
-        found = find_estimator(name)
-        row: Cells = {"estimator": name, "backend": found.version(), "max_iterations": found.max_iterations}
-        row["deterministic"] = bool(getattr(found, "deterministic", False))
-        rows.append(row | {"hypotheses": np.nan if pd.isna(medians[name]) else float(medians[name])})
-    return pd.DataFrame(rows)
+    found = {name: find_estimator(name) for name in results.estimators}
+    table = pd.DataFrame({"estimator": list(found), "backend": [one.version() for one in found.values()]})
+    table["max_iterations"] = [one.max_iterations for one in found.values()]
+    table["deterministic"] = [bool(getattr(one, "deterministic", False)) for one in found.values()]
+    medians = results.tables.runs.groupby("estimator")["iterations"].median().astype(np.float64)
+    return table.assign(hypotheses=medians.reindex(list(found)).to_numpy())
 
 
 def classifier_table(metrics: pd.DataFrame) -> pd.DataFrame:
