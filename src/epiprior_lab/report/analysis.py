@@ -9,15 +9,14 @@ from epiprior_lab.analysis.records import Analysis
 from epiprior_lab.evaluation.records import Tables, write_frame
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import AnalysisParams, StudyParams
-from epiprior_lab.report import analysis_figures as figures
-from epiprior_lab.report import analysis_tables as tables
+from epiprior_lab.report import analysis_results as found
 from epiprior_lab.report.page import Block, Page, Picture, Section, Table, picture, say
 from epiprior_lab.report.pictures import contact_sheet
 from epiprior_lab.report.results import ROUNDING, where
 from epiprior_lab.report.text import Row, interval, listed, number, order_of, share, signed
 
 _PARTS = ("standard", "2keypoint", "sfm")  # parts of the method as printed
-_LABELS = {name: look.label for name, look in figures.STEP_LOOKS.items()} | figures.VARIANT_NAMES
+_LABELS = {name: look.label for name, look in found.STEP_LOOKS.items()} | found.VARIANT_NAMES
 _LABELS |= {"beyond": "`default`, another estimator", "paper": "`paper`", "default": "`default`"}
 # Columns of Table 1: title, input and ranking of its list, input of its successes.
 _LISTS = (
@@ -39,15 +38,15 @@ def write_analysis(
     report, own = params.report, params.analysis
     thresholds, how = (report.success_px, report.strict_px), {"draws": report.bootstrap_draws, "seed": report.seed}
     made = {
-        "successes": tables.success_table(analysis, own.estimators[0], thresholds_px=thresholds, **how),
-        "precision": tables.precision_table(analysis, **how),
-        "lost": tables.lost_table(analysis, thresholds),
+        "successes": found.success_table(analysis, own.estimators[0], thresholds_px=thresholds, **how),
+        "precision": found.precision_table(analysis, **how),
+        "lost": found.lost_table(analysis, thresholds),
     }
     for name, table in made.items():
         write_frame(table, out / f"{name}.csv")
-    figures.steps_figure(analysis, out / "steps.png")
-    figures.ablation_figure(made["precision"], made["successes"], thresholds, out / "ablations.png")
-    figures.lost_figure(made["lost"], out / "limits.png")
+    found.steps_figure(analysis, out / "steps.png")
+    found.ablation_figure(made["precision"], made["successes"], thresholds, out / "ablations.png")
+    found.lost_figure(made["lost"], out / "limits.png")
     _analysis_page(analysis, made, own).write(out, markdown="analysis.md", html="index.html")
     named = {group: named_pairs(evaluated.rankings, group, own.table_quantiles) for group in pairs}
     by_id = {(group, pair.pair_id): pair for group, members in pairs.items() for pair in members}
@@ -57,7 +56,7 @@ def write_analysis(
 
 
 def _analysis_page(analysis: Analysis, made: Mapping[str, pd.DataFrame], own: AnalysisParams) -> Page:
-    """Return the page of the analysis; tables as from `analysis_tables`."""
+    """Return the page of the analysis; tables as from `analysis_results`."""
     estimator, successes, precision = own.estimators[0], made["successes"], made["precision"]
     hard = order_of(analysis.limits["group"])
     steps, ablation, oracle = (successes[successes["experiment"] == e] for e in ("steps", "ablation", "oracle"))
@@ -87,7 +86,7 @@ def _analysis_page(analysis: Analysis, made: Mapping[str, pd.DataFrame], own: An
         ],
         "What limits the results": [
             say("analysis limits", refined=own.refined_hypotheses, estimator=estimator),
-            _limits(tables.limits_table(analysis)),
+            _limits(found.limits_table(analysis)),
             *_success_blocks(oracle, "`default`"),
         ],
         "Where successes are lost": [say("analysis lost"), picture("limits", "limits.png"), _lost(made["lost"])],
@@ -162,7 +161,7 @@ def _precision_blocks(table: pd.DataFrame) -> list[Block]:
     blocks: list[Block] = []
     for group, part in table.groupby("group", sort=False):
         rows = [
-            [_label(row), row["ranking"], *(interval(row, name, number) for name in tables.PRECISIONS)]
+            [_label(row), row["ranking"], *(interval(row, name, number) for name in found.PRECISIONS)]
             for row in part.to_dict("records")
         ]
         blocks += [f"**{group}**, precision", Table(head=head, rows=rows, texts=2)]
@@ -182,10 +181,10 @@ def _limits(table: pd.DataFrame) -> Table:
 def _lost(table: pd.DataFrame) -> Table:
     rows = [
         [f"{row['threshold_px']:g} px", row["group"], row["estimator"], str(row["pairs"])]
-        + [f"{row[name]:.1f}" for name in figures.LOST]
+        + [f"{row[name]:.1f}" for name in found.LOST]
         for row in table.to_dict("records")
     ]
-    head = ["below", "group", "estimator", "pairs", *(label for label, _ in figures.LOST.values())]
+    head = ["below", "group", "estimator", "pairs", *(label for label, _ in found.LOST.values())]
     return Table(head=head, rows=rows, texts=3)
 
 
@@ -215,11 +214,10 @@ def table1_page(
 def _pair_block(evaluated: Tables, group: str, pair_id: str, success_px: float) -> Table:
     rankings, runs = (where(t, group=group, pair_id=pair_id) for t in (evaluated.rankings, evaluated.runs))
     of_list = rankings.set_index(["input", "ranking"])
-    columns = {"matches": "matches", "right": "right matches"}
-    columns |= {"right_10": "right of the first 10", "right_100": "right of the first 100"}
+    counts = {"matches": "matches", "right": "right matches"}
+    counts |= {f"right_{n}": f"right of the first {n}" for n in (10, 100)}
     rows = [
-        [title, *(f"{of_list[column].loc[(name, ranking)]:,}" for _, name, ranking, _ in _LISTS)]
-        for column, title in columns.items()
+        [title, *(f"{of_list[n].loc[(name, order)]:,}" for _, name, order, _ in _LISTS)] for n, title in counts.items()
     ]
     rows.append(["success", *(_success(runs[runs["input"] == name], success_px) for *_, name in _LISTS)])
     return Table(head=[f"`{pair_id}`", *(title for title, *_ in _LISTS)], rows=rows)

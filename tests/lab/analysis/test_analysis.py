@@ -24,7 +24,7 @@ from epiprior_lab.evaluation.records import RANKS, RankingRecord, RunRecord, Tab
 from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.params import load_study
 from epiprior_lab.report import analysis as page
-from epiprior_lab.report import analysis_tables
+from epiprior_lab.report import analysis_results
 from synthetic import make_frames, make_pair
 
 ESTIMATORS = {"estimator": "usac", "others": ("prosac",), "beyond": "magsac++"}
@@ -177,7 +177,7 @@ RATES = {
 
 
 def test_where_successes_are_lost_their_references_and_what_the_pairs_allow():
-    at = analysis_tables.lost_table(made_up(RATES), (10.0, 0.5)).set_index(["threshold_px", "estimator"])
+    at = analysis_results.lost_table(made_up(RATES), (10.0, 0.5)).set_index(["threshold_px", "estimator"])
     assert list(at.index) == [(t, name) for t in (10.0, 0.5) for name in ("usac", "beem")]
     parts = ["chosen", "missed", "outscored", "hypothesis", "matches"]
     # The F chosen for p1 has no more support than the right ones: the score is 11 for all.
@@ -186,13 +186,13 @@ def test_where_successes_are_lost_their_references_and_what_the_pairs_allow():
     assert at.loc[(0.5, "usac"), parts].tolist() == [0, 0, 0, 0, 4]
     higher = made_up(RATES)
     higher.variants.loc[higher.variants["variant"] == "default", "score"] = 12.0
-    assert analysis_tables.lost_table(higher, (10.0,)).loc[0, parts].tolist() == pytest.approx([1.8, 0, 0.6, 1.0, 0.6])
+    assert analysis_results.lost_table(higher, (10.0,)).loc[0, parts].tolist() == pytest.approx([1.8, 0, 0.6, 1.0, 0.6])
     # The fit to the right matches has much support and an error of 5 px: right below 10 px, wrong below 3 px.
     higher.variants.loc[higher.variants["variant"] == "right matches", ["score", "error_px"]] = [20.0, 5.0]
-    lost = analysis_tables.lost_table(higher, (10.0, 3.0)).set_index(["threshold_px", "estimator"])
+    lost = analysis_results.lost_table(higher, (10.0, 3.0)).set_index(["threshold_px", "estimator"])
     assert lost.loc[(10.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0.6, 0])
     assert lost.loc[(3.0, "usac"), ["missed", "outscored"]].tolist() == pytest.approx([0, 0.6])
-    table = analysis_tables.success_table(made_up(RATES), "usac", thresholds_px=(10.0,), draws=200, seed=0)
+    table = analysis_results.success_table(made_up(RATES), "usac", thresholds_px=(10.0,), draws=200, seed=0)
     with_beem = table[table["estimator"] == "beem"].set_index("variant")["difference"]
     assert with_beem[["default", "true labels"]].tolist() == pytest.approx([np.nan, 3 - 1], nan_ok=True)
     table = table[(table["estimator"] != "beem")].drop_duplicates("variant").set_index("variant")
@@ -200,10 +200,10 @@ def test_where_successes_are_lost_their_references_and_what_the_pairs_allow():
     found = table.loc[["standard", "paper", "default", "right matches"], "difference"].tolist()
     assert found == pytest.approx([1.2 - 1.8, np.nan, 0.0, 3 - 1.8], nan_ok=True)
     assert table.loc["default", "difference_low"] < 0 < table.loc["default", "difference_high"]
-    assert analysis_tables.reference_of(("steps", "sfm", "sfm", "beem"), "usac") == ("steps", "paper", "final", "beem")
+    assert analysis_results.reference_of(("steps", "sfm", "sfm", "beem"), "usac") == ("steps", "paper", "final", "beem")
     whole = ("ablation", "default", "sfm", "usac")
-    assert analysis_tables.reference_of(("ablation", "K_2kp 50", "sfm", "usac"), "usac") == whole
-    row = analysis_tables.limits_table(made_up(RATES)).iloc[0]
+    assert analysis_results.reference_of(("ablation", "K_2kp 50", "sfm", "usac"), "usac") == whole
+    row = analysis_results.limits_table(made_up(RATES)).iloc[0]
     assert row[["enough_8", "enough_15", "right_in_x", "good_rough"]].tolist() == pytest.approx([0.75, 0.25, 12, 0.075])
 
 
