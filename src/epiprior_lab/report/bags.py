@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +50,9 @@ def write_bag_report(records: _Frame, methods: Sequence[str], params: BagReportP
     page = Page(title=f"{TITLE}: time", about=say("sfm time"), sections=[times])
     page.write(out / "timings", markdown="times.md", html="")
     small = small_table(summary, intruders, methods, params.sizes)
+    about = say("sfm summary", sizes=" and ".join(map(str, params.sizes)))
     sections = [
-        Section(
-            title="How well it works", blocks=[say("sfm summary", sizes=" and ".join(map(str, params.sizes))), small]
-        ),
+        Section(title="How well it works", blocks=[about, small]),
         Section(title="By size and difficulty", blocks=[picture("bags", "figures/bags.png"), *_by_selection(summary)]),
     ]
     Page(title=TITLE, about=say("sfm"), sections=sections).write(out, html="")
@@ -69,29 +69,26 @@ def summary_table(records: _Frame, params: BagReportParams) -> _Frame:
     plain = records[records["kind"] == PLAIN]
     plain = plain.assign(right=(plain["registered"] - plain["wrong"]) / plain["images"])
     rows = []
-    for name, chosen in _selections(plain, params.sizes):
-        for kind in INTRINSICS:
-            part = chosen[chosen["intrinsics"] == kind].set_index("bag")
-            bags = part.index.unique()
-            base = part[part["method"] == params.against].loc[bags]
-            for method in order_of(part["method"]):
-                own = part[part["method"] == method]
-                if len(own) < len(bags):
-                    continue
-                row: dict[str, Any] = {"selection": name, "intrinsics": kind, "method": method, "bags": len(bags)}
-                scenes = list(base["group"] + "/" + base["scene"])
-                row["scenes"] = len(set(scenes))
-                row |= {key: int(own[key].sum()) for key in ("images", "registered", "wrong")}
-                for key in _MEASURES:
-                    a, b = (one.loc[bags, key].to_numpy(np.float64) for one in (base, own))
-                    seed = child_seed(params.seed, name, kind)
-                    found = paired_bootstrap(a, b, groups=scenes, draws=params.bootstrap_draws, seed=seed)
-                    row |= interval_columns(key, found.with_step, scenes=row["scenes"])
-                    row |= interval_columns(f"{key}_gain", found.contribution, scenes=row["scenes"])
-                tracks = own["tracks"].sum()
-                row["tracks"] = tracks / len(bags)
-                row["track_length"] = (own["tracks"] * own["track_length"]).sum() / tracks if tracks else np.nan
-                rows.append(row)
+    for (name, chosen), kind in product(_selections(plain, params.sizes), INTRINSICS):
+        part = chosen[chosen["intrinsics"] == kind].set_index("bag")
+        bags = part.index.unique()
+        base = part[part["method"] == params.against].loc[bags]
+        scenes, seed = list(base["group"] + "/" + base["scene"]), child_seed(params.seed, name, kind)
+        for method, own in part.groupby("method", sort=False):
+            if len(own) < len(bags):
+                continue
+            row: dict[str, Any] = {"selection": name, "intrinsics": kind, "method": method, "bags": len(bags)}
+            row["scenes"] = len(set(scenes))
+            row |= {key: int(own[key].sum()) for key in ("images", "registered", "wrong")}
+            for key in _MEASURES:
+                a, b = (one.loc[bags, key].to_numpy(np.float64) for one in (base, own))
+                found = paired_bootstrap(a, b, groups=scenes, draws=params.bootstrap_draws, seed=seed)
+                row |= interval_columns(key, found.with_step, scenes=row["scenes"])
+                row |= interval_columns(f"{key}_gain", found.contribution, scenes=row["scenes"])
+            tracks = own["tracks"].sum()
+            row["tracks"] = tracks / len(bags)
+            row["track_length"] = (own["tracks"] * own["track_length"]).sum() / tracks if tracks else np.nan
+            rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -151,16 +148,15 @@ def bag_figure(summary: _Frame, path: Path) -> None:
     looks = {n: replace(INPUTS[_LOOKS.get(n, n)], label=METHOD_TITLES[n], line="none") for n in methods}
     y = np.arange(len(shown), dtype=np.float64)[::-1]
     with styled(path, 2, 2, (8.4, 0.55 * len(shown) * 2 + 1.2), sharex=True, sharey=True) as (figure, axes):
-        for axis_row, kind in zip(axes, INTRINSICS, strict=True):
-            for axis, measure in zip(axis_row, _MEASURES, strict=True):
-                for k, (name, look) in enumerate(looks.items()):
-                    own = where(summary, method=name, intrinsics=kind).set_index("selection").reindex(shown)
-                    spans = [own[measure] - own[f"{measure}_low"], own[f"{measure}_high"] - own[measure]]
-                    height = y + 0.13 * ((len(looks) - 1) / 2 - k)
-                    style: Any = {"color": look.colour, "ms": 5, "lw": 1.0, **DOTS}
-                    axis.errorbar(own[measure], height, xerr=np.nan_to_num(spans), fmt=look.marker, **style)
-                axis.set_yticks(y, shown)
-                axis.set(xlim=(-0.02, 1.02), ylim=(-0.6, len(shown) - 0.4))
+        for axis, (kind, measure) in zip(chain(*axes), product(INTRINSICS, _MEASURES), strict=True):
+            for k, (name, look) in enumerate(looks.items()):
+                own = where(summary, method=name, intrinsics=kind).set_index("selection").reindex(shown)
+                spans = [own[measure] - own[f"{measure}_low"], own[f"{measure}_high"] - own[measure]]
+                height = y + 0.13 * ((len(looks) - 1) / 2 - k)
+                style: Any = {"color": look.colour, "ms": 5, "lw": 1.0, **DOTS}
+                axis.errorbar(own[measure], height, xerr=np.nan_to_num(spans), fmt=look.marker, **style)
+            axis.set_yticks(y, shown)
+            axis.set(xlim=(-0.02, 1.02), ylim=(-0.6, len(shown) - 0.4))
         label_grid(axes, rows=[f"{kind} intrinsics" for kind in INTRINSICS], columns=list(_MEASURES.values()))
         legend(figure, list(looks.values()), markers=True)
 
@@ -186,10 +182,9 @@ def _times(records: _Frame, params: BagReportParams) -> Table:
     pairs = plain["images"] * (plain["images"] - 1) / 2
     each = plain.assign(features=plain["features_s"] / plain["images"], matching=plain["matching_s"] / pairs)
     rows = []
-    for method in order_of(each["method"]):
-        own = each[each["method"] == method]
+    for method, own in each.groupby("method", sort=False):
         mapping = [own.loc[own["intrinsics"] == kind, "mapping_s"].median() for kind in INTRINSICS]
         values = [own["features"].median(), own["matching"].median(), *mapping]
-        rows.append([METHOD_TITLES[method], *(number(value) for value in values)])
+        rows.append([METHOD_TITLES[str(method)], *map(number, values)])
     head = ["method", "features, s per photograph", "matching, s per pair"]
     return Table(head=[*head, *(f"mapping, {kind}, s per bag" for kind in INTRINSICS)], rows=rows)

@@ -1,6 +1,7 @@
 """Figures of the report: one per idea, for rendered scenes and photographs alike; each function writes one PNG file."""
 
 from collections.abc import Mapping, Sequence
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -52,17 +53,16 @@ def success_figure(successes: pd.DataFrame, groups: Sequence[str], thresholds_px
     estimators, looks = order_of(successes["estimator"]), looks_of(order_of(successes["input"]))
     size = (2.6 * len(groups) + 0.8, (0.27 * len(estimators) + 0.75) * len(thresholds_px) + 0.4)
     with styled(path, len(thresholds_px), len(groups), size, sharey=True) as (figure, axes):
-        for row, threshold in zip(axes, thresholds_px, strict=True):
-            for axis, group in zip(row, groups, strict=True):
-                part = where(successes, group=group, threshold_px=threshold)
-                y, pairs = _names(axis, estimators), int(part["pairs"].max())
-                for k, (name, look) in enumerate(looks.items()):
-                    own = part[part["input"] == name].set_index("estimator").reindex(estimators)
-                    height = y + 0.12 * ((len(looks) - 1) / 2 - k)  # equal numbers must not hide each other
-                    how: Any = {"color": look.colour, "ms": 6 if look.marker == "o" else 4.5, "lw": 0.9, **DOTS}
-                    axis.errorbar(own["successes"], height, xerr=own["successes_sd"], fmt=look.marker, **how)
-                axis.set(xlim=(-0.03 * pairs, 1.03 * pairs), xlabel=f"pairs of {pairs} below {threshold:g} px")
-                axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))  # pairs are whole
+        for axis, (threshold, group) in zip(chain(*axes), product(thresholds_px, groups), strict=True):
+            part = where(successes, group=group, threshold_px=threshold)
+            y, pairs = _names(axis, estimators), int(part["pairs"].max())
+            for k, (name, look) in enumerate(looks.items()):
+                own = part[part["input"] == name].set_index("estimator").reindex(estimators)
+                height = y + 0.12 * ((len(looks) - 1) / 2 - k)  # equal numbers must not hide each other
+                how: Any = {"color": look.colour, "ms": 6 if look.marker == "o" else 4.5, "lw": 0.9, **DOTS}
+                axis.errorbar(own["successes"], height, xerr=own["successes_sd"], fmt=look.marker, **how)
+            axis.set(xlim=(-0.03 * pairs, 1.03 * pairs), xlabel=f"pairs of {pairs} below {threshold:g} px")
+            axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))  # pairs are whole
         label_grid(axes, columns=[group_title(group) for group in groups])
         legend(figure, list(looks.values()), markers=True)
 
@@ -76,13 +76,12 @@ def curve_figure(results: Results, path: Path) -> None:
     groups = results.main[:-1] or results.main
     size = (2.55 * len(groups) + 0.4, 1.4 * len(results.estimators) + 0.9)
     with styled(path, len(results.estimators), len(groups), size, sharex=True, sharey="col") as (figure, axes):
-        for row, estimator in zip(axes, results.estimators, strict=True):
-            for axis, group in zip(row, groups, strict=True):
-                member = results.masks[group]
-                errors = {n: results.errors[estimator, n][member] for n in results.inputs(estimator)}
-                style.draw_curves(axis, looks, errors, np.arange(2.5, style.CURVE_LIMIT_PX, 2.5))
-                axis.set_ylim(0, 1.03 * member.sum())
-                axis.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+        for axis, (estimator, group) in zip(chain(*axes), product(results.estimators, groups), strict=True):
+            member = results.masks[group]
+            errors = {n: results.errors[estimator, n][member] for n in results.inputs(estimator)}
+            style.draw_curves(axis, looks, errors, np.arange(2.5, style.CURVE_LIMIT_PX, 2.5))
+            axis.set_ylim(0, 1.03 * member.sum())
+            axis.yaxis.set_major_locator(MaxNLocator(5, integer=True))
         titles = [group_title(group) for group in groups]
         label_grid(axes, rows=results.estimators, columns=titles, below="threshold, px")
         figure.supylabel("successful pairs", fontsize=9, color=MUTED)
@@ -95,16 +94,15 @@ def duel_figure(duels: pd.DataFrame, champion: str, groups: Sequence[str], path:
     places = [(group, name) for group in groups for name in order_of(duels["input"])]
     size = (2.5 * len(places) + 1.0, (0.25 * len(rivals) + 0.85) * len(thresholds) + 0.3)
     with styled(path, len(thresholds), len(places), size, sharey=True, sharex=True) as (figure, axes):
-        for row, threshold in zip(axes, thresholds, strict=True):
-            for axis, (group, name) in zip(row, places, strict=True):
-                here, y = where(duels, group=group, input=name, threshold_px=threshold), _names(axis, rivals)
-                part = here.set_index("estimator").reindex(rivals)
-                axis.axvline(0, color=MUTED, lw=0.9, zorder=1)
-                for decided, colour in _DECIDED.items():
-                    chosen = (part["decided"] == decided).to_numpy()
-                    at = part[chosen]
-                    spans = [at["difference"] - at["difference_low"], at["difference_high"] - at["difference"]]
-                    axis.errorbar(at["difference"], y[chosen], xerr=spans, fmt="o", color=colour, ms=5, lw=1.3, **DOTS)
+        for axis, (threshold, (group, name)) in zip(chain(*axes), product(thresholds, places), strict=True):
+            part = where(duels, group=group, input=name, threshold_px=threshold).set_index("estimator").reindex(rivals)
+            y = _names(axis, rivals)
+            axis.axvline(0, color=MUTED, lw=0.9, zorder=1)
+            for decided, colour in _DECIDED.items():
+                chosen = (part["decided"] == decided).to_numpy()
+                at = part[chosen]
+                spans = [at["difference"] - at["difference_low"], at["difference_high"] - at["difference"]]
+                axis.errorbar(at["difference"], y[chosen], xerr=spans, fmt="o", color=colour, ms=5, lw=1.3, **DOTS)
         columns = [f"{group_title(group)}\n{input_title(name)}" for group, name in places]
         label_grid(axes, rows=[f"below {t:g} px" for t in thresholds], columns=columns, below="pairs ahead")
         titles = {"better": f"{champion} is better", "open": "not decided", "worse": f"{champion} is worse"}
@@ -129,16 +127,16 @@ def ranking_figure(results: Results, path: Path) -> None:
     columns = [right_column(rank) for rank in RANKS]
     size = (2.75 * len(groups) + 2.2, 2.3 * len(kinds) + 0.4)
     with styled(path, len(kinds), len(groups), size, sharex=True, sharey=True) as (_, axes):
-        for row, (_, looks) in zip(axes, kinds, strict=True):
-            for axis, (_, of_group) in zip(row, groups, strict=True):
-                for (name, ranking), look in looks.items():
-                    part = where(of_group, input=name, ranking=ranking)
-                    if len(part):
-                        curve = part[columns].to_numpy(np.float64).mean(axis=0) / np.array(RANKS)
-                        axis.plot(RANKS, curve, color=look.colour, ls=look.line, label=look.label)
-                axis.set(xscale="log", ylim=(0, 1.02), xlim=(1, 10_000))
-                axis.set_xticks([1, 10, 100, 1000, 10_000], ["1", "10", "100", "1,000", "10,000"])
-            row[-1].legend(loc="center left", bbox_to_anchor=(1, 0.5))
+        for axis, ((_, looks), (_, of_group)) in zip(chain(*axes), product(kinds, groups), strict=True):
+            for (name, ranking), look in looks.items():
+                part = where(of_group, input=name, ranking=ranking)
+                if len(part):
+                    curve = part[columns].to_numpy(np.float64).mean(axis=0) / np.array(RANKS)
+                    axis.plot(RANKS, curve, color=look.colour, ls=look.line, label=look.label)
+            axis.set(xscale="log", ylim=(0, 1.02), xlim=(1, 10_000))
+            axis.set_xticks([1, 10, 100, 1000, 10_000], ["1", "10", "100", "1,000", "10,000"])
+        for *_, last in axes:
+            last.legend(loc="center left", bbox_to_anchor=(1, 0.5))
         names = [f"{title}\nshare of right matches" for title, _ in kinds]
         titles = [group_title(group, len(part[["group", "pair_id"]].drop_duplicates())) for group, part in groups]
         label_grid(axes, rows=names, columns=titles, below="matches, best first")
@@ -149,7 +147,7 @@ def roll_figure(densities: Mapping[str, tuple[FloatArray, FloatArray, float]], p
     columns = min(3, len(densities))
     rows = -(-len(densities) // columns)
     with styled(path, rows, columns, (3.4 * columns, 2.1 * rows + 0.4)) as (figure, axes):
-        flat = [axis for row in axes for axis in row]
+        flat = list(chain(*axes))
         for axis, (pair_id, (angles, density, true)) in zip(flat, densities.items(), strict=False):
             angle = (angles + 180) % 360 - 180  # 0 is in the middle
             order = np.argsort(angle, kind="stable")
@@ -230,19 +228,17 @@ def classifier_figure(table: pd.DataFrame, path: Path) -> None:
     )
     size = (2.7 * len(metrics), 1.7 * len(subjects) + 0.6)
     with styled(path, len(subjects), len(metrics), size, sharex=True) as (figure, axes):
-        for row, (preset, target) in zip(axes, subjects, strict=True):
-            for axis, metric in zip(row, metrics, strict=True):
-                values = where(table, preset=preset, target=target, metric=metric).set_index("family")
-                y, both = np.arange(len(values))[::-1], values["ungrouped"].notna().to_numpy()
-                for name, offset, colour, label in kinds:
-                    at = y + np.where(both, offset, 0.0)
-                    width = values[name].to_numpy(np.float64)
-                    axis.barh(at, width, 0.36, color=colour, label=label)
-                    deviation = values[f"{name}_sd"].fillna(0.0).to_numpy(np.float64)
-                    axis.errorbar(width, at, xerr=deviation, fmt="none", ecolor=INK, elinewidth=0.8)
-                axis.set_yticks(y, [str(name) for name in values.index])
-                axis.grid(axis="y", visible=False)
-                axis.tick_params(labelleft=axis is row[0])
+        for axis, ((preset, target), metric) in zip(chain(*axes), product(subjects, metrics), strict=True):
+            values = where(table, preset=preset, target=target, metric=metric).set_index("family")
+            y, both = np.arange(len(values))[::-1], values["ungrouped"].notna().to_numpy()
+            for name, offset, colour, label in kinds:
+                at, width = y + np.where(both, offset, 0.0), values[name].to_numpy(np.float64)
+                axis.barh(at, width, 0.36, color=colour, label=label)
+                deviation = values[f"{name}_sd"].fillna(0.0).to_numpy(np.float64)
+                axis.errorbar(width, at, xerr=deviation, fmt="none", ecolor=INK, elinewidth=0.8)
+            axis.set_yticks(y, [str(name) for name in values.index])
+            axis.grid(axis="y", visible=False)
+            axis.tick_params(labelleft=metric == metrics[0])
         axes[0][0].set_xlim(0, 1)
         names = [f"{preset}:\n{text.TARGET_TITLES.get(str(target), str(target))}" for preset, target in subjects]
         label_grid(axes, rows=names, columns=[METRIC_TITLES[metric] for metric in metrics])
@@ -259,13 +255,13 @@ def hand_over_figure(search: pd.DataFrame, path: Path) -> None:
     estimators = order_of(search["estimator"])
     size = (1.6 * len(settings) + 0.9, 1.3 * len(estimators) + 1.1)
     with styled(path, len(estimators), len(settings), size, sharey="row") as (figure, axes):
-        for row, estimator in zip(axes, estimators, strict=True):
-            for axis, name in zip(row, settings, strict=True):
-                _sweep(axis, search[search["estimator"] == estimator], name)
-                if row is axes[0]:
-                    axis.set_title(_SETTINGS[name], fontsize=9)
-            row[0].margins(y=0.14)
-            row[0].yaxis.set_major_locator(MaxNLocator(4, integer=True))
+        for axis, (estimator, name) in zip(chain(*axes), product(estimators, settings), strict=True):
+            _sweep(axis, search[search["estimator"] == estimator], name)
+        for axis, name in zip(axes[0], settings, strict=True):
+            axis.set_title(_SETTINGS[name], fontsize=9)
+        for first, *_ in axes:
+            first.margins(y=0.14)
+            first.yaxis.set_major_locator(MaxNLocator(4, integer=True))
         label_grid(axes, rows=estimators)
         figure.supylabel("validation pairs, mean of those below 10 px and below 3 px", fontsize=9, color=MUTED)
         legend(figure, list(looks_of(order_of(search["input"])).values()), markers=True)

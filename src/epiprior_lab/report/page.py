@@ -103,9 +103,8 @@ def table_lines(table: Table) -> list[str]:
     width = len(table.head)
     rule = "|" + "---|" * table.texts + "---:|" * (width - table.texts)
     rows = ([f"**{row[0]}**", *[""] * (width - 1)] if len(row) == 1 else row for row in table.rows)
-    lines = [table.head, *rows]
-    texts = ["| " + " | ".join(row) + " |" for row in lines]
-    return [texts[0], rule, *texts[1:]]
+    head, *texts = ("| " + " | ".join(row) + " |" for row in (table.head, *rows))
+    return [head, rule, *texts]
 
 
 def render_markdown(page: Page) -> str:

@@ -1,6 +1,7 @@
 """Time: of each estimator by outcome, of the whole pipeline against what it contributes, and against successes."""
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -44,24 +45,28 @@ def overhead_table(timings: pd.DataFrame, results: Results, threshold_px: float)
     keys = ["group", "pair_id", "estimator", "seed"]
     baseline = timings[timings["input"].isin(BASELINES)][[*keys, "seconds_total"]]
     table = timings.merge(baseline, on=keys, suffixes=("", "_without"), validate="many_to_one")
+    inputs = [name for name in order_of(timings["input"]) if name in ("paper", "fast", "default", CASCADE)]
+    groups, estimators = ((*order_of(timings[column]), ALL) for column in ("group", "estimator"))
     rows = []
-    for name in (name for name in order_of(timings["input"]) if name in ("paper", "fast", "default", CASCADE)):
-        for group in (*order_of(timings["group"]), ALL):
-            for estimator in (*order_of(timings["estimator"]), ALL):
-                asked = {"input": name, "group": group, "estimator": estimator}
-                part = where(table, **{column: value for column, value in asked.items() if value != ALL})
-                if part.empty:
-                    continue
-                without, own = part["seconds_total_without"], part["seconds_total"]
-                row: dict[str, Any] = {**asked, "runs": len(part)}
-                row |= {"seconds_without": without.mean(), "seconds_with": own.mean()}
-                row |= {"overhead": own.mean() / without.mean(), "median_overhead": (own / without).median()}
-                row |= {"preprocessed": part["preprocessed"].mean(), "contribution": np.nan}
-                if estimator != ALL and name != CASCADE:
-                    inputs = (baseline_of(name, results.inputs(estimator)), name)
-                    a, b = (results.errors.of(estimator, i, threshold_px)[results.masks[group]].mean() for i in inputs)
-                    row["contribution"] = float(contribution(a, b))
-                rows.append(row)
+    for name, group, estimator in product(inputs, groups, estimators):
+        asked = {"input": name, "group": group, "estimator": estimator}
+        part = where(table, **{column: value for column, value in asked.items() if value != ALL})
+        if part.empty:
+            continue
+        without, own = part["seconds_total_without"], part["seconds_total"]
+        row: dict[str, Any] = {
+            **asked,
+            "runs": len(part),
+            "seconds_without": without.mean(),
+            "seconds_with": own.mean(),
+        }
+        row |= {"overhead": own.mean() / without.mean(), "median_overhead": (own / without).median()}
+        row |= {"preprocessed": part["preprocessed"].mean(), "contribution": np.nan}
+        if estimator != ALL and name != CASCADE:
+            both = (baseline_of(name, results.inputs(estimator)), name)
+            a, b = (results.errors.of(estimator, i, threshold_px)[results.masks[group]].mean() for i in both)
+            row["contribution"] = float(contribution(a, b))
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -89,12 +94,12 @@ def decision_table(
             counts = {e: [float(of_cascade[e, px]) for px in thresholds_px] for e in known}
         else:
             counts = {e: [float(results.errors.of(e, name, px)[member].sum()) for px in thresholds_px] for e in known}
-        best = max(known, key=lambda estimator: counts[estimator])
-        for choice, estimator in ((BEST, best), *([(USUAL, usual)] if usual in known and usual != best else [])):
+        best = max(counts, key=lambda estimator: counts[estimator])
+        for choice, estimator in ((BEST, best), *([(USUAL, usual)] if usual in counts and usual != best else [])):
             row: dict[str, Any] = {"input": name, "choice": choice, "estimator": estimator, "pairs": int(member.sum())}
             row |= {f"successes_{px:g}": n for px, n in zip(thresholds_px, counts[estimator], strict=True)}
-            found = means[name, estimator]
-            rows.append(row | {"seconds_pair": found["seconds_total"], "seconds_shared": found["seconds_shared"]})
+            seconds = means[name, estimator]
+            rows.append(row | {"seconds_pair": seconds["seconds_total"], "seconds_shared": seconds["seconds_shared"]})
     return pd.DataFrame(rows)
 
 
@@ -146,17 +151,16 @@ def write_timings(timings: pd.DataFrame, material: Material, out: Path) -> None:
         for row in part.to_dict("records"):
             times = (number(row[n]) for n in ("seconds_without", "seconds_with", "overhead", "median_overhead"))
             rows.append([row["estimator"], str(row["runs"]), *times, share(row["preprocessed"])])
-    head = ("estimator", "runs", "seconds without", "seconds with", "ratio", "ratio, median of runs")
-    whole = Table(head=[*head, "runs preprocessed"], rows=rows)
+    of_times = ("estimator", "runs", "seconds without", "seconds with", "ratio", "ratio, median of runs")
+    whole = Table(head=(*of_times, "runs preprocessed"), rows=rows)
     points = [
         [input_title(row["input"]), row["estimator"], *(number(row[f"successes_{px:g}"], 1) for px in thresholds)]
         + [number(row[name]) for name in ("seconds_pair", "seconds_shared")]
         for row in decision.to_dict("records")
     ]
     below = [f"below {px:g} px, of {int(decision['pairs'].iloc[0])}" for px in thresholds]
-    choice = Table(
-        head=["matches", "estimator", *below, "seconds per pair", "once features are there"], rows=points, texts=2
-    )
+    head = ("matches", "estimator", *below, "seconds per pair", "once features are there")
+    choice = Table(head=head, rows=points, texts=2)
     sections = [
         Section(title="What one pays", blocks=[choice, picture("decision", "decision.png")]),
         Section(title="From images to F", blocks=[whole, picture("overhead", "overhead.png")]),
