@@ -1,6 +1,7 @@
 """The cascade: what it loses and saves against always preprocessing, and how its rule was learnt."""
 
 from collections.abc import Mapping, Sequence
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -33,29 +34,22 @@ def cascade_table(
     """
     runs = cascade_rule.paired_runs(results.tables.runs)
     (kept,) = kept_runs(runs, [rule])
+    errors = {"first": runs["error_px"], "always": runs["with_error_px"]}
+    errors["cascade"] = pd.Series(cascade_rule.cascade_errors(runs, kept))
     rows = []
-    for estimator in (name for name in order_of(runs["estimator"]) if name in estimators):
-        own = (runs["estimator"] == estimator).to_numpy()
-        part, kept_part = runs[own].reset_index(drop=True), kept[own]
-        errors = {
-            "first": part["error_px"],
-            "always": part["with_error_px"],
-            "cascade": cascade_rule.cascade_errors(part, kept_part),
-        }
-        for threshold in thresholds_px:
-            marks = part[PAIR].assign(**{name: np.asarray(values) < threshold for name, values in errors.items()})
-            marks["lost"] = marks["always"] & ~marks["cascade"]
-            marks["won"] = marks["cascade"] & ~marks["always"]
-            means = marks.assign(preprocessed=~kept_part).groupby(PAIR, as_index=False).mean()
-            shares = results.by_pair(means).fillna(0.0)
-            always, cascade = (shares[name].to_numpy(np.float64) for name in ("always", "cascade"))
-            for group, member in results.groups(results.main):
-                pairs = int(member.sum())
-                row: dict[str, Any] = {"group": group, "estimator": estimator, "threshold_px": threshold}
-                row |= {"pairs": pairs, "preprocessed": float(shares.loc[member, "preprocessed"].mean())}
-                row |= {str(name): float(shares.loc[member, name].sum()) for name in (*errors, "lost", "won")}
-                change = results.compare(always, cascade, member, "cascade", estimator, group, str(threshold))
-                rows.append(row | results.interval("change", change.difference, member, pairs))
+    for estimator, threshold in product([e for e in order_of(runs["estimator"]) if e in estimators], thresholds_px):
+        marks = runs[PAIR].assign(**{name: values < threshold for name, values in errors.items()}, preprocessed=~kept)
+        marks["lost"] = marks["always"] & ~marks["cascade"]
+        marks["won"] = marks["cascade"] & ~marks["always"]
+        shares = results.by_pair(marks[runs["estimator"] == estimator].groupby(PAIR, as_index=False).mean()).fillna(0.0)
+        always, cascade = (shares[name].to_numpy(np.float64) for name in ("always", "cascade"))
+        for group, member in results.groups(results.main):
+            pairs = int(member.sum())
+            row: dict[str, Any] = {"group": group, "estimator": estimator, "threshold_px": threshold}
+            row |= {"pairs": pairs, "preprocessed": float(shares.loc[member, "preprocessed"].mean())}
+            row |= {name: float(shares.loc[member, name].sum()) for name in (*errors, "lost", "won")}
+            change = results.compare(always, cascade, member, "cascade", estimator, group, str(threshold))
+            rows.append(row | results.interval("change", change.difference, member, pairs))
     return pd.DataFrame(rows)
 
 
@@ -92,7 +86,7 @@ def cascade_figure(
     columns = min(4, len(estimators))
     rows = -(-len(estimators) // columns)
     with styled(path, rows, columns, (2.6 * columns, 2.2 * rows + 0.6), sharex=True, sharey=True) as (figure, axes):
-        panels = [axis for row in axes for axis in row]
+        panels = list(chain(*axes))
         for axis, estimator in zip(panels, estimators, strict=False):
             for split, table in runs.items():
                 part, look = table[table["estimator"] == estimator], _LOOKS[split]

@@ -68,16 +68,19 @@ class Material:
 def summary_table(
     successes: pd.DataFrame,
     cascade: pd.DataFrame | None,
+    rankings: pd.DataFrame | None,
     groups: Sequence[str],
     px: Sequence[float],
-    features: Mapping[str, float] | None = None,
     seconds: Mapping[tuple[str, str], float] | None = None,
 ) -> Table:
     """Return the small table: per input shares of pairs that succeed, a column per threshold `px` and group.
 
-    Every input has the estimator that serves it best over all pairs below the first threshold. `features` are their
-    numbers per image, by input, `seconds` what a pair takes, by input and estimator; without them there is no column.
+    Every input has the estimator that serves it best over all pairs below the first threshold. Features per image are
+    from the `rankings`, `seconds` what a pair takes, by input and estimator; without them there is no column.
     """
+    features: dict[Any, float] = {}
+    if rankings is not None and "features" in rankings:
+        features = rankings[rankings["group"] == ALL].groupby("input")["features"].first().to_dict()
     columns = ["threshold_px", "group", "estimator", "pairs", "input", "successes"]
     table = successes[columns]
     if cascade is not None:
@@ -92,7 +95,7 @@ def summary_table(
         of_input = whole[whole["input"] == name].sort_values("successes", ascending=False, kind="stable")
         best = str(of_input["estimator"].iloc[0])
         own = table[(table["input"] == name) & (table["estimator"] == best)].set_index(["group", "threshold_px"])
-        count = number((features or {}).get(OURS if name == CASCADE else name, np.nan), 0)
+        count = number(features.get(OURS if name == CASCADE else name, np.nan), 0)
         taken = [number(seconds.get((name, best), np.nan), 1)] if seconds else []
         who.append([input_title(name), best, *([count] if features else []), *taken])
         values.append([100 * own["successes"][g, t] / sizes[g] for t in px for g in groups])
@@ -100,11 +103,3 @@ def summary_table(
     head = ["matches", "estimator", *(["features"] if features else []), *(["seconds"] if seconds else [])]
     head += [f"{group_title(g, int(sizes[g]))}, {t:g} px" for t in px for g in groups]
     return Table(head=head, rows=[[*names, *cells] for names, cells in zip(who, texts, strict=True)], texts=2)
-
-
-def features_by_input(rankings: pd.DataFrame | None) -> dict[str, float]:
-    """Return the number of features per image of every input over all pairs; empty where a table does not tell."""
-    if rankings is None or "features" not in rankings:
-        return {}
-    counts = rankings[rankings["group"] == ALL].groupby("input")["features"].first()
-    return {str(name): float(count) for name, count in counts.items()}

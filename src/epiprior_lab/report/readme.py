@@ -14,7 +14,7 @@ from epiprior_lab.bags.params import load_sfm_params
 from epiprior_lab.evaluation.records import read_table
 from epiprior_lab.params import PHOTOGRAPHS, load_params
 from epiprior_lab.report.bags import small_table
-from epiprior_lab.report.material import features_by_input, summary_table
+from epiprior_lab.report.material import summary_table
 from epiprior_lab.report.page import Table, table_lines
 from epiprior_lab.report.text import ALL
 
@@ -36,11 +36,11 @@ def render_readme(text: str, root: Path) -> str:
     columns = "threshold_px group estimator pairs"
     successes = read_table(root / TABLES / "successes.csv", f"{columns} input successes")
     cascade = read_table(root / TABLES / "cascade.csv", f"{columns} cascade")
+    rankings = read_table(root / TABLES / "rankings.csv", "group")
     px = (report.success_px, report.strict_px)
-    features = features_by_input(read_table(root / TABLES / "rankings.csv", "group"))
     timed = read_table(root / TIMES, "input estimator seconds_total")
     seconds: dict[Any, float] = timed.groupby(["input", "estimator"])["seconds_total"].mean().to_dict()
-    small = summary_table(successes, cascade, (ALL, *report.hard_groups), px, features, seconds)
+    small = summary_table(successes, cascade, rankings, (ALL, *report.hard_groups), px, seconds)
     text = _filled(text, "results", small)
     if not (root / BAG_TABLES).is_dir():
         return text

@@ -20,7 +20,7 @@ from epiprior_lab.report.material import Maker, Material
 from epiprior_lab.report.page import Page, Section, say
 from epiprior_lab.report.pictures import write_gallery
 from epiprior_lab.report.results import Results
-from epiprior_lab.report.text import ALL, DIFFICULTIES, OURS
+from epiprior_lab.report.text import ALL, OURS
 
 TITLES = {
     "study": "Epipolar geometry with a prior: rendered scenes",
@@ -31,17 +31,10 @@ CLASSIFIER_COLUMNS = "target family grouped fold metric value"
 HAND_OVER_COLUMNS = "estimator input step top_k one_to_one threshold_px pairs successes_10 successes_3 area chosen"
 
 
-def read_results(evaluated: Tables, params: ReportParams, *, apart: Sequence[str] = ()) -> Results:
-    """Return results by group, or by difficulty where the hard groups of the parameters are difficulties."""
-    by = "difficulty" if set(params.hard_groups) <= set(DIFFICULTIES) else "group"
-    how = {"draws": params.bootstrap_draws, "seed": params.seed}
-    return Results(evaluated, by=by, hard=params.hard_groups, apart=apart, **how)
-
-
 def read_material(own: EvaluateParams, params: ReportParams, kind: str, protocol: Protocol) -> Material:
     """Read what both the report and its times show: the evaluation, the rule of the cascade, and bounds."""
     evaluated = Tables.read([Path(own.out) / group for group in own.groups])
-    results = read_results(evaluated, params, apart=own.apart or ())
+    results = Results(evaluated, params, apart=own.apart or ())
     how: dict[str, Any] = {"rule": load_cascade_rule(MODELS / "cascade.json"), "cascaded": as_shipped(protocol, FIRST)}
     return Material(results=results, params=params, kind=kind, bounds=load_bounds(BOUNDS, kind), **how)
 
@@ -162,4 +155,4 @@ def write_folder_report(evaluated: Tables, out: Path) -> None:
     how |= {"pose_deg": (5.0, 10.0, 20.0), "distance_recall": 0.05, "bootstrap_draws": 2000, "seed": 0}
     how |= {"hard_groups": ("hard",), "easy_groups": ("easy",), "contact_sheet_pairs": None, "gallery": None}
     params = ReportParams(champion=str(evaluated.runs["estimator"].iloc[0]), **how)
-    write_report(Material(results=read_results(evaluated, params), params=params, kind="folder"), out)
+    write_report(Material(results=Results(evaluated, params), params=params, kind="folder"), out)

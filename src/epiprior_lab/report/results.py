@@ -13,6 +13,7 @@ from epiprior.types import BoolArray, FloatArray, Status
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.records import Tables
 from epiprior_lab.evaluation.statistics import Comparison, Interval, paired_bootstrap
+from epiprior_lab.params import ReportParams
 from epiprior_lab.report.text import ALL, BASELINES, DIFFICULTIES, OURS, order_of
 
 PAIR = ["group", "pair_id"]  # what names a pair in every table
@@ -51,17 +52,14 @@ class Rates(dict[tuple[str, str], FloatArray]):
 
 
 class Results:
-    """The results of an evaluation, compared by ``group`` (families of scenes) or by ``difficulty``.
+    """The results of an evaluation by group, or by difficulty where the hard groups of the parameters are difficulties.
 
-    Groups in `apart` are part of no total and no difficulty; `hard` are those of `by` that are hard; `draws` and `seed`
-    are of the bootstrap, which draws whole scenes. `main` are the groups that tables show, `ALL` last; `masks` tells
-    which pairs belong to each of these and, by difficulty, to every set.
+    Groups in `apart` are part of no total and no difficulty. `main` are the groups that tables show, `ALL` last, and
+    `hard` the hard ones; `masks` tells which pairs belong to each of these and, by difficulty, to every set.
     """
 
-    def __init__(
-        self, tables: Tables, *, by: str, hard: Sequence[str], apart: Sequence[str] = (), draws: int, seed: int
-    ) -> None:
-        self.tables, self.apart, self._draws, self._seed = tables, tuple(apart), draws, seed
+    def __init__(self, tables: Tables, params: ReportParams, *, apart: Sequence[str] = ()) -> None:
+        self.tables, self.apart, self._draws, self._seed = tables, tuple(apart), params.bootstrap_draws, params.seed
         runs, pairs = tables.runs, tables.pairs
         self.index = pd.MultiIndex.from_frame(pairs[PAIR])
         self.sets = tuple(order_of(pairs["group"]))
@@ -69,10 +67,11 @@ class Results:
         masks = {name: counted & (pairs["difficulty"] == name).to_numpy() for name in DIFFICULTIES}
         masks = {name: member for name, member in masks.items() if member.any()} | {ALL: counted}
         masks |= {name: (pairs["group"] == name).to_numpy() for name in self.sets}
-        first = self.sets if by == "group" else tuple(name for name in DIFFICULTIES if name in masks)
+        by_difficulty = set(params.hard_groups) <= set(DIFFICULTIES)
+        first = tuple(name for name in DIFFICULTIES if name in masks) if by_difficulty else self.sets
         self.main = (*first, ALL)
         self.masks: dict[str, BoolArray] = {name: masks[name] for name in dict.fromkeys((*self.main, *self.sets))}
-        self.hard = tuple(name for name in hard if name in self.main)
+        self.hard = tuple(name for name in params.hard_groups if name in self.main)
         self.pose_deg = runs[["rotation_deg", "translation_deg"]].max(axis=1, skipna=False)  # the larger of both angles
         self.errors, self.distances = Rates(tables, runs["error_px"]), Rates(tables, runs["distance"])
         self.poses = Rates(tables, self.pose_deg)

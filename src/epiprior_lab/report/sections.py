@@ -14,7 +14,7 @@ from epiprior_lab.report.bounds import bound_rows
 from epiprior_lab.report.cascade import rule_in_words
 from epiprior_lab.report.confidence import kind_rows, score_rows
 from epiprior_lab.report.figures import MIN_BAR
-from epiprior_lab.report.material import Material, features_by_input, summary_table
+from epiprior_lab.report.material import Material, summary_table
 from epiprior_lab.report.page import Block, Table, say
 from epiprior_lab.report.pictures import case_blocks
 from epiprior_lab.report.tables import ENOUGH_IN_BIN, ENOUGH_RIGHT, PRECISIONS
@@ -26,8 +26,8 @@ _SETTINGS = ("max_distance_ratio", "top_k", "one_to_one", "threshold_px", "refin
 def summary(m: Material) -> Iterator[Block]:
     """Yield the small table and the curve of successes."""
     yield say("summary")
-    features = features_by_input(m.tables.get("rankings"))
-    yield summary_table(m.tables["successes"], m.tables.get(CASCADE), (ALL, *m.results.hard), m.thresholds, features)
+    cascaded, ranked = (m.tables.get(name) for name in (CASCADE, "rankings"))
+    yield summary_table(m.tables["successes"], cascaded, ranked, (ALL, *m.results.hard), m.thresholds)
     yield m.picture("successes", seeds=m.results.tables.runs["seed"].nunique())
 
 

@@ -13,7 +13,8 @@ from epiprior_lab.params import PHOTOGRAPHS, GalleryParams, load_params
 from epiprior_lab.report.bounds import BOUNDS, load_bounds
 from epiprior_lab.report.material import Material
 from epiprior_lab.report.pictures import choose_cases
-from epiprior_lab.report.report import read_results, write_report
+from epiprior_lab.report.report import write_report
+from epiprior_lab.report.results import Results
 from synthetic_tables import APART, photograph_tables, study_tables
 
 ROOT = Path(__file__).parents[3]
@@ -47,7 +48,7 @@ def search():
 def study():
     """What the report of a study shows."""
     params = replace(load_params(ROOT / "params.yaml").report, bootstrap_draws=100, hard_groups=("open",))
-    results = read_results(study_tables(pairs=8), params)
+    results = Results(study_tables(pairs=8), params)
     bounds = [bound for bound in load_bounds(ROOT / BOUNDS, "study") if bound.group in results.masks]
     bounds = [bound for bound in bounds if bound.estimator in ("usac", "epiprior", "every")]
     cascaded = tuple(results.tables.runs["estimator"].unique())
@@ -61,7 +62,7 @@ def photographs(tmp_path_factory):
     root = tmp_path_factory.mktemp("photographs")
     own = load_params(ROOT / PHOTOGRAPHS).report
     params = replace(own, bootstrap_draws=100, gallery=GalleryParams(estimator="usac", rescued=2, lost=1))
-    results = read_results(photograph_tables(), params, apart=APART)
+    results = Results(photograph_tables(), params, apart=APART)
     cases = choose_cases(results, "usac", rescued=2, lost=1, success_px=10.0)
     bounds = load_bounds(ROOT / BOUNDS, "photographs")
     how = {"rule": RULE, "cascaded": ("usac", "epiprior"), "gallery": root / "gallery", "cases": cases}

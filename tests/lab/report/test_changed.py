@@ -13,7 +13,7 @@ THRESHOLDS = (10.0, 3.0)
 
 def test_changed_pairs_stand_beside_the_same_pairs_as_they_were(photographs):
     tables = photograph_tables()
-    assert changed_table(Results(tables, by="difficulty", hard=("hard",), draws=100, seed=0), THRESHOLDS).empty
+    assert changed_table(Results(tables, photographs.params), THRESHOLDS).empty
     frames = {}
     for name in tables.kinds:
         table = getattr(tables, name)
@@ -22,7 +22,7 @@ def test_changed_pairs_stand_beside_the_same_pairs_as_they_were(photographs):
         if name == "runs":  # no longer found, but for what is learnt
             turned["error_px"] = turned["error_px"].where(turned["input"] == "aliked", 99.0)
         frames[name] = pd.concat([table, turned], ignore_index=True)
-    results = Results(replace(tables, **frames), by="difficulty", hard=("hard",), apart=["turned90"], draws=100, seed=0)
+    results = Results(replace(tables, **frames), photographs.params, apart=["turned90"])
     table = changed_table(results, THRESHOLDS)
     assert set(table["group"]) == {"turned90"}
     assert (table["pairs"] == 2).all()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from epiprior_lab.report.pictures import choose_cases
-from epiprior_lab.report.report import read_results
+from epiprior_lab.report.results import Results
 from synthetic_tables import APART, PHOTOGRAPH_INPUTS
 
 
@@ -19,7 +19,7 @@ def sides(results, pair, estimator, against):
 
 def changed(photographs, **columns):
     tables = photographs.results.tables
-    return read_results(replace(tables, runs=tables.runs.assign(**columns)), photographs.params, apart=APART)
+    return Results(replace(tables, runs=tables.runs.assign(**columns)), photographs.params, apart=APART)
 
 
 @pytest.fixture

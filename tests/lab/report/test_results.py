@@ -12,9 +12,9 @@ def errors(tables):
     return Rates(tables, tables.runs["error_px"])
 
 
-def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs_and_runs_are_unique():
+def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs_and_runs_are_unique(study):
     tables = study_tables(pairs=4)
-    results = Results(tables, by="group", hard=("open",), draws=10, seed=0)
+    results = Results(tables, study.params)
     found = errors(replace(tables, runs=tables.runs.sample(frac=1, random_state=1))).of("usac", "default", 5.0)
     for k, pair in enumerate(tables.pairs.itertuples()):
         runs = tables.runs.query("group == @pair.group and pair_id == @pair.pair_id")
@@ -28,11 +28,11 @@ def test_rates_are_shares_of_seeds_in_the_order_of_the_pairs_and_runs_are_unique
     refused(ValueError, "duplicate", errors, double)
 
 
-def test_a_pair_without_runs_or_without_the_truth_is_a_failure():
+def test_a_pair_without_runs_or_without_the_truth_is_a_failure(photographs):
     tables = photograph_tables()
     less = replace(tables, runs=tables.runs[tables.runs["pair_id"] != tables.pairs.iloc[0]["pair_id"]])
     assert np.isinf(errors(less)["usac", "default"][0]).all()
-    poses = Results(tables, by="group", hard=(), draws=10, seed=0).poses
+    poses = Results(tables, photographs.params).poses
     strecha = (tables.pairs["group"] == "strecha").to_numpy()  # no cameras
     assert np.isinf(poses["usac", "default"][strecha]).all()
     runs = tables.runs.query("group == 'fox' and estimator == 'usac' and input == 'default'")

@@ -9,7 +9,6 @@ from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.records import Tables, right_column
 from epiprior_lab.evaluation.statistics import Interval, paired_bootstrap
 from epiprior_lab.report import tables
-from epiprior_lab.report.report import read_results
 from epiprior_lab.report.results import ReportError, Results
 from synthetic_tables import APART, PHOTOGRAPH_INPUTS, SEEDS, SETS, STUDY_GROUPS, STUDY_INPUTS
 
@@ -73,7 +72,7 @@ def test_successes_equal_counts_by_hand(both, threshold):
 def test_one_scene_has_no_interval_and_what_is_absent_is_named(photographs, study):
     keep = vars(photographs.results.tables).items()
     one = {name: table[table["group"] == "fox"].assign(scene="a").reset_index(drop=True) for name, table in keep}
-    results = read_results(Tables(**one), photographs.params)
+    results = Results(Tables(**one), photographs.params)
     at = tables.success_table(results, (10.0,))
     at = at[(at["group"] == "fox") & (at["input"] == "default")]
     assert at[["gain", "scene_gain"]].notna().all(axis=None)
@@ -84,7 +83,7 @@ def test_one_scene_has_no_interval_and_what_is_absent_is_named(photographs, stud
     kept = runs[~((runs["estimator"] == "prosac") & (runs["input"] == "standard"))]
     without = Tables(**{**vars(study.results.tables), "runs": kept})
     with pytest.raises(ReportError, match="prosac: no input of standard, generalized"):
-        Results(without, by="group", hard=(), draws=100, seed=0).inputs("prosac")
+        Results(without, study.params).inputs("prosac")
 
 
 def test_duels_are_paired(both):
