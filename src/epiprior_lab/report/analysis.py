@@ -10,7 +10,7 @@ from epiprior_lab.evaluation.records import Tables, write_frame
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import AnalysisParams, StudyParams
 from epiprior_lab.report import analysis_results as found
-from epiprior_lab.report.page import Block, Page, Picture, Section, Table, picture, say
+from epiprior_lab.report.page import Block, Page, Picture, Table, picture, say
 from epiprior_lab.report.pictures import contact_sheet
 from epiprior_lab.report.results import ROUNDING, where
 from epiprior_lab.report.text import Row, interval, listed, number, order_of, share, signed
@@ -95,7 +95,7 @@ def _analysis_page(analysis: Analysis, made: Mapping[str, pd.DataFrame], own: An
     return Page(
         title="What each part contributes, and what limits the results",
         about=say("analysis page", pairs=pairs, seeds=seeds),
-        sections=[Section(title=title, blocks=blocks) for title, blocks in contents.items()],
+        sections=contents,
     )
 
 
@@ -203,12 +203,10 @@ def table1_page(
     """Return the paper's Table 1 of the pairs `named`, by group, which `quantiles` chose; a section per group."""
     about = say("table 1", quantiles=", ".join(f"{q:g}" for q in quantiles), success_px=success_px)
     sheet = Picture(path="table1.jpg", alt="The pairs, a row per group, in the order of the table")
-    sections = [
-        Section(title=group, blocks=[_pair_block(evaluated, group, name, success_px) for name in names])
-        for group, names in named.items()
-    ]
+    sections: dict[str, list[Block]] = {"The pairs": [sheet]}
+    sections |= {g: [_pair_block(evaluated, g, name, success_px) for name in names] for g, names in named.items()}
     title = "Named pairs of every group: matches, right ones among the best, who succeeds"
-    return Page(title=title, about=about, sections=[Section(title="The pairs", blocks=[sheet]), *sections])
+    return Page(title=title, about=about, sections=sections)
 
 
 def _pair_block(evaluated: Tables, group: str, pair_id: str, success_px: float) -> Table:

@@ -16,7 +16,7 @@ from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.learned import LEARNED
 from epiprior_lab.evaluation.records import write_frame
 from epiprior_lab.evaluation.statistics import paired_bootstrap
-from epiprior_lab.report.page import Page, Section, Table, picture, say
+from epiprior_lab.report.page import Block, Page, Table, picture, say
 from epiprior_lab.report.results import interval_columns, where
 from epiprior_lab.report.style import DOTS, label_grid, legend, styled
 from epiprior_lab.report.text import ALL, DIFFICULTIES, INPUTS, best_bold, interval, number, order_of, share
@@ -46,15 +46,15 @@ def write_bag_report(records: _Frame, methods: Sequence[str], params: BagReportP
         write_frame(table, out / "tables" / f"{name}.csv", digits=6)
     bag_figure(summary, out / "figures" / "bags.png")
     write_frame(records[["bag", "method", "intrinsics", *SECONDS]], out / "timings" / "seconds.csv", digits=6)
-    times = Section(title="Processor time", blocks=[say("sfm times"), _times(records, params)])
-    page = Page(title=f"{TITLE}: time", about=say("sfm time"), sections=[times])
+    times: dict[str, list[Block]] = {"Processor time": [say("sfm times"), _times(records, params)]}
+    page = Page(title=f"{TITLE}: time", about=say("sfm time"), sections=times)
     page.write(out / "timings", markdown="times.md", html="")
     small = small_table(summary, intruders, methods, params.sizes)
     about = say("sfm summary", sizes=" and ".join(map(str, params.sizes)))
-    sections = [
-        Section(title="How well it works", blocks=[about, small]),
-        Section(title="By size and difficulty", blocks=[picture("bags", "figures/bags.png"), *_by_selection(summary)]),
-    ]
+    sections: dict[str, list[Block]] = {
+        "How well it works": [about, small],
+        "By size and difficulty": [picture("bags", "figures/bags.png"), *_by_selection(summary)],
+    }
     Page(title=TITLE, about=say("sfm"), sections=sections).write(out, html="")
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 import yaml
 
 from epiprior_lab.evaluation.records import CASCADE
-from epiprior_lab.report.page import say
+from epiprior_lab.report.page import Table, say
 from epiprior_lab.report.results import ROUNDING, ReportError, Results, where
 from epiprior_lab.report.text import ALL, OURS, Row, baseline_of, group_title, input_title, interval, percent, signed
 
@@ -60,7 +60,7 @@ def judge(bounds: Sequence[Bound], tables: Tables, results: Results | None = Non
     interval that excludes the bound for everyone, never without such pairs. ReportError where an estimator has none.
     """
     rows = []
-    for bound in (bound for bound in bounds if (bound.measure in _OF_TIME) == ("overhead" in tables)):
+    for bound in (bound for bound in bounds if ("time" in bound.measure) == ("overhead" in tables)):
         row: dict[str, Any] = dict.fromkeys(COLUMNS.split(), np.nan)
         row |= {"wanted": bound.at_most if np.isnan(bound.at_least) else bound.at_least, "met": False}
         row |= {name: value for name, value in vars(bound).items() if name in row}
@@ -123,18 +123,14 @@ def _precision_gain(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
     return _found_in(row, "gain") | {"possible": possible, "met": met}
 
 
-def _time(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
-    who = ALL if bound.estimator == EVERY else bound.estimator
-    at = where(tables["overhead"], group=bound.group, input=_OF_TIME[bound.measure], estimator=who)
-    return {} if at.empty else _reached(bound, float(at["median_overhead"].iloc[0]))
-
-
-def _confidence(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
-    """Return what the confidence of all estimators reached; nothing without pairs of other kinds."""
-    if "confidence" not in tables:
+def _value(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
+    """Return one of `_VALUES`, over all estimators unless the bound names one; nothing where it was not measured."""
+    name, column, values = _VALUES[bound.measure]
+    if name not in tables:
         return {}
-    row = where(tables["confidence"], estimator=ALL, score="confidence").iloc[0]
-    return _reached(bound, float(row[_OF_CONFIDENCE[bound.measure]]))
+    at = where(tables[name], estimator=ALL if bound.estimator in ("", EVERY) else bound.estimator, **values)
+    at = where(at, group=bound.group) if "group" in at else at
+    return {} if at.empty else _reached(bound, float(at[column].iloc[0]))
 
 
 def _cascade_lost(bound: Bound, _: Any, tables: Tables) -> dict[str, Any]:
@@ -150,25 +146,26 @@ def _reached(bound: Bound, found: float) -> dict[str, Any]:
     return {"found": found, "met": met}
 
 
-_OF_CONFIDENCE: Mapping[str, str] = {  # columns of its table
-    "right_kept": "kept",
-    "calibration": "calibration_error",
-    **{name: name for name in ("auc", "flat_told", "false_flat", "copies_told")},
+_VALUES: Mapping[str, tuple[str, str, dict[str, str]]] = {  # table, column and row
+    "time": ("overhead", "median_overhead", {"input": OURS}),
+    "cascade_time": ("overhead", "median_overhead", {"input": CASCADE}),
+    "right_kept": ("confidence", "kept", {"score": "confidence"}),
+    "calibration": ("confidence", "calibration_error", {"score": "confidence"}),
+    **{n: ("confidence", n, {"score": "confidence"}) for n in ("auc", "flat_told", "false_flat", "copies_told")},
 }
-_OF_TIME: Mapping[str, str] = {"time": OURS, "cascade_time": CASCADE}
 _MEASURES: Mapping[str, Callable[[Bound, Any, Tables], dict[str, Any]]] = {
     "contribution": _contribution,
     "difference": _difference,
     "precision_gain": _precision_gain,
     "cascade_lost": _cascade_lost,
-    **dict.fromkeys(_OF_CONFIDENCE, _confidence),
-    **dict.fromkeys(_OF_TIME, _time),
+    **dict.fromkeys(_VALUES, _value),
 }
 
 
-def bound_rows(judged: pd.DataFrame) -> list[list[str]]:
+def bound_table(judged: pd.DataFrame) -> Table:
     """Return each judged bound in words: what was wanted, what was found, ``yes`` or ``no``."""
-    return [[_wanted(row), _found(row), "yes" if row["met"] else "no"] for row in judged.to_dict("records")]
+    rows = [[_wanted(row), _found(row), "yes" if row["met"] else "no"] for row in judged.to_dict("records")]
+    return Table(head=("bound", "found", "met"), rows=rows, texts=3)
 
 
 def _wanted(row: Row) -> str:
@@ -200,4 +197,4 @@ def _found(row: Row) -> str:
             text += "" if row["against"] == "baseline" else f" over {row['against']}"
             return text + ("" if np.isinf(row["possible"]) else f"; {percent(row['possible'])} if it solved every pair")
         case measure:
-            return f"{row['found']:.{2 if measure in _OF_TIME else 3}f}"
+            return f"{row['found']:.{2 if 'time' in measure else 3}f}"

@@ -10,7 +10,7 @@ import pandas as pd
 
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.params import CascadeParams
-from epiprior_lab.report.page import Page, Section, Table, picture, say
+from epiprior_lab.report.page import Block, Page, Table, picture, say
 from epiprior_lab.report.results import PAIR, Results
 from epiprior_lab.report.style import MUTED, axis_legend, label_grid, styled
 from epiprior_lab.report.text import Look, order_of, share
@@ -70,9 +70,10 @@ def learnt_page(learnt: LearntRule, params: CascadeParams, success_px: float, st
     values = {"tolerance": params.tolerance, "strict_tolerance": params.strict_tolerance}
     about = say("learnt", rule=rule_in_words(learnt.rule), success_px=success_px, strict_px=strict_px, **values)
     head = ("estimator", "preprocessed", "lost", "preprocessed, held out", "lost, held out")
-    table, title = Table(head=head, rows=rows), "The rule on validation scenes"
-    section = Section(title=title, blocks=[table, picture("cascade", figure)])
-    return Page(title="The cascade: preprocessing only where it is needed", about=about, sections=[section])
+    sections: dict[str, list[Block]] = {
+        "The rule on validation scenes": [Table(head=head, rows=rows), picture("cascade", figure)]
+    }
+    return Page(title="The cascade: preprocessing only where it is needed", about=about, sections=sections)
 
 
 def cascade_figure(

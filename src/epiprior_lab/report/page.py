@@ -6,7 +6,7 @@ Its prose is kept in ``templates/prose.yaml``.
 import functools
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -46,31 +46,21 @@ Block = str | Table | Picture | tuple[Picture, ...]  # prose is Markdown; pictur
 
 
 @dataclass(frozen=True, kw_only=True)
-class Section:
-    """A heading and what stands below it; a section without any picture or row of a table is left out."""
-
-    title: str
-    blocks: Sequence[Block]
-
-    @property
-    def name(self) -> str:
-        """Of the link to it."""
-        return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
-
-    @property
-    def shown(self) -> tuple[Block, ...]:
-        """The blocks, but for tables without rows; empty if nothing but prose is left."""
-        kept = tuple(block for block in self.blocks if not (isinstance(block, Table) and not block.rows) and block)
-        return () if all(isinstance(block, str) for block in kept) else kept
-
-
-@dataclass(frozen=True, kw_only=True)
 class Page:
-    """A title, what the page is about (Markdown), and sections."""
+    """A title, what the page is about (Markdown), and sections by their titles."""
 
     title: str
     about: str
-    sections: Sequence[Section]
+    sections: Mapping[str, Sequence[Block]]
+
+    @property
+    def shown(self) -> dict[str, list[Block]]:
+        """The sections without tables that have no rows, but for those where nothing but prose is left."""
+        kept = {
+            title: [block for block in blocks if block and not (isinstance(block, Table) and not block.rows)]
+            for title, blocks in self.sections.items()
+        }
+        return {title: own for title, own in kept.items() if not all(isinstance(block, str) for block in own)}
 
     def write(self, folder: Path, *, markdown: str = "performance.md", html: str = "index.html") -> None:
         """Write both files; an empty name leaves one out."""
@@ -110,10 +100,9 @@ def table_lines(table: Table) -> list[str]:
 def render_markdown(page: Page) -> str:
     """Return a page as Markdown."""
     lines = [f"# {page.title}", "", *_prose(page.about)]
-    for section in page.sections:
-        if section.shown:
-            lines += ["", f"## {section.title}"]
-        for block in section.shown:
+    for title, blocks in page.shown.items():
+        lines += ["", f"## {title}"]
+        for block in blocks:
             if isinstance(block, Table):
                 lines += ["", *([f"### {block.fold}", ""] if block.fold else []), *table_lines(block)]
             elif isinstance(block, str):
@@ -141,7 +130,7 @@ def render_html(page: Page) -> str:
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     environment.trim_blocks = environment.lstrip_blocks = environment.keep_trailing_newline = True
     environment.filters["inline"] = lambda text: Markup(reader.renderInline(text))
+    environment.filters["anchor"] = lambda title: re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
     environment.filters["prose"] = lambda text: Markup(reader.render(text))
-    sections = [section for section in page.sections if section.shown]
     template = environment.get_template("page.html.j2")
-    return template.render(page=page, sections=sections, version=epiprior.__version__)
+    return template.render(page=page, sections=page.shown.items(), version=epiprior.__version__)

@@ -26,7 +26,7 @@ from epiprior_lab.evaluation.inputs import match_pair
 from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.runs import estimates
 from epiprior_lab.pairsets import DatasetError, Pair
-from epiprior_lab.report.page import Block, Page, Picture, Section, say
+from epiprior_lab.report.page import Block, Page, Picture, say
 from epiprior_lab.report.results import PAIR, Results
 from epiprior_lab.report.style import INK, MUTED, styled
 from epiprior_lab.report.tables import SNN
@@ -277,5 +277,5 @@ def case_blocks(cases: Sequence[Case], folder: str, suffix: str) -> list[Block]:
 
 def write_gallery(cases: Sequence[Case], folder: Path) -> None:
     """Write the page of the pictures on photographs, beside them; it may not be passed on."""
-    section = Section(title="Pairs", blocks=case_blocks(cases, ".", "jpg"))
-    Page(title="Rescued and lost pairs", about=say("kept gallery"), sections=[section]).write(folder, markdown="")
+    sections = {"Pairs": case_blocks(cases, ".", "jpg")}
+    Page(title="Rescued and lost pairs", about=say("kept gallery"), sections=sections).write(folder, markdown="")

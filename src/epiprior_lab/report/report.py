@@ -17,7 +17,7 @@ from epiprior_lab.report.bounds import BOUNDS, judge, load_bounds
 from epiprior_lab.report.cascade import cascade_table
 from epiprior_lab.report.confidence import confidence_figure, confidence_table, kind_table
 from epiprior_lab.report.material import Maker, Material
-from epiprior_lab.report.page import Page, Section, say
+from epiprior_lab.report.page import Page, say
 from epiprior_lab.report.pictures import write_gallery
 from epiprior_lab.report.results import Results
 from epiprior_lab.report.text import ALL, OURS
@@ -138,11 +138,7 @@ def write_report(material: Material, out: Path) -> Mapping[str, pd.DataFrame]:
     drawn = {**draw_figures(replace(material, tables=made), out / "figures"), **material.pictures}
     paths = {name: path.relative_to(out).as_posix() for name, path in drawn.items()}
     whole = replace(material, tables=made, figures=paths)
-    shown = [
-        Section(title=title, blocks=list(make(whole)))
-        for title, make, needed in SECTIONS
-        if needed is None or needed in made
-    ]
+    shown = {title: list(make(whole)) for title, make, needed in SECTIONS if needed is None or needed in made}
     Page(title=TITLES[material.kind], about=say(material.kind), sections=shown).write(out)
     if material.gallery is not None:
         write_gallery(material.cases, material.gallery)

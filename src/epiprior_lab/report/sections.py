@@ -10,7 +10,7 @@ from epiprior_lab.evaluation.learned import LEARNED
 from epiprior_lab.evaluation.records import CASCADE
 from epiprior_lab.pairsets.changed import EVERY
 from epiprior_lab.report import text
-from epiprior_lab.report.bounds import bound_rows
+from epiprior_lab.report.bounds import bound_table
 from epiprior_lab.report.cascade import rule_in_words
 from epiprior_lab.report.confidence import kind_rows, score_rows
 from epiprior_lab.report.figures import MIN_BAR
@@ -342,4 +342,4 @@ def gallery(m: Material) -> Iterator[Block]:
 def bounds(m: Material) -> Iterator[Block]:
     """Yield what was wanted of the results."""
     yield say("bounds")
-    yield Table(head=("bound", "found", "met"), rows=bound_rows(m.tables["bounds"]), texts=3)
+    yield bound_table(m.tables["bounds"])

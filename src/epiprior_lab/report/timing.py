@@ -11,10 +11,10 @@ import pandas as pd
 from epiprior_lab.evaluation.records import CASCADE, write_frame
 from epiprior_lab.evaluation.statistics import contribution
 from epiprior_lab.report import figures
-from epiprior_lab.report.bounds import bound_rows, judge
+from epiprior_lab.report.bounds import bound_table, judge
 from epiprior_lab.report.cascade import cascade_table
 from epiprior_lab.report.material import Material
-from epiprior_lab.report.page import Page, Section, Table, picture
+from epiprior_lab.report.page import Block, Page, Table, picture
 from epiprior_lab.report.results import Results, where
 from epiprior_lab.report.style import label_grid, label_logarithmic, legend, looks_of, styled
 from epiprior_lab.report.text import ALL, BASELINES, baseline_of, input_title, number, order_of, share
@@ -161,12 +161,12 @@ def write_timings(timings: pd.DataFrame, material: Material, out: Path) -> None:
     below = [f"below {px:g} px, of {int(decision['pairs'].iloc[0])}" for px in thresholds]
     head = ("matches", "estimator", *below, "seconds per pair", "once features are there")
     choice = Table(head=head, rows=points, texts=2)
-    sections = [
-        Section(title="What one pays", blocks=[choice, picture("decision", "decision.png")]),
-        Section(title="From images to F", blocks=[whole, picture("overhead", "overhead.png")]),
-        Section(title="Each estimator alone", blocks=[picture("estimators", "estimators.png")]),
-        Section(title="Bounds", blocks=[Table(head=("bound", "found", "met"), rows=bound_rows(judged), texts=3)]),
-    ]
+    sections: dict[str, list[Block]] = {
+        "What one pays": [choice, picture("decision", "decision.png")],
+        "From images to F": [whole, picture("overhead", "overhead.png")],
+        "Each estimator alone": [picture("estimators", "estimators.png")],
+        "Bounds": [bound_table(judged)],
+    }
     pairs, estimators = len(timings[["group", "pair_id"]].drop_duplicates()), timings["estimator"].nunique()
     about = f"{pairs} pairs, {estimators} estimators, one run at a time, matching included."
     Page(title="Times", about=about, sections=sections).write(out, markdown="times.md", html="")

@@ -257,7 +257,7 @@ def evaluated():
 def test_table1_says_who_succeeds_on_pairs_that_are_chosen_by_rule():
     assert page.named_pairs(evaluated().rankings, "f", (0.0, 0.5, 1.0)) == ["p1", "p0", "p2"]
     made = page.table1_page(evaluated(), {"f": ["p0"]}, (0.5,), 10.0)
-    rows = {row[0]: row[1:] for row in made.sections[1].blocks[0].rows}
+    rows = {row[0]: row[1:] for row in made.sections["f"][0].rows}
     assert (rows["matches"], rows["right of the first 10"]) == (["100", "5,000", "5,000", "5,000"], ["9"] * 4)
     assert rows["right of the first 100"] == ["30"] * 4
     assert rows["success"] == ["1 of 3: beem", "–", "1 of 3: beem", "3 of 3"]

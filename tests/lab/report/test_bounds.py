@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from calls import refused
-from epiprior_lab.report.bounds import BOUNDS, Bound, bound_rows, judge, load_bounds
+from epiprior_lab.report.bounds import BOUNDS, Bound, bound_table, judge, load_bounds
 from epiprior_lab.report.results import ReportError
 
 ROOT = Path(__file__).parents[3]
@@ -30,7 +30,7 @@ def duels(*lows):
 
 def one(results, bound, **tables):
     judged = judge([bound], tables, results)
-    return judged.iloc[0], bound_rows(judged)[0]
+    return judged.iloc[0], bound_table(judged).rows[0]
 
 
 def bound(measure, group="hard", **values):
@@ -85,7 +85,7 @@ def test_the_best_peer_is_chosen_in_hindsight_and_our_bounds_are_judged(photogra
     ranking = photograph_report[0]["rankings"].set_index(["group", "input", "ranking"]).loc[("all", "default", "final")]
     row = judged[judged["measure"] == "precision_gain"].iloc[0]
     assert (row["found"], row["met"]) == (ranking["gain"], ranking["gain"] >= 0.18)
-    assert bound_rows(judged)[0][0] == "precision of the top 100 at least +0.18 over X_L: all pairs"
+    assert bound_table(judged).rows[0][0] == "precision of the top 100 at least +0.18 over X_L: all pairs"
     for text in ("- {pipeline: study, measure: luck, group: all}", "- {wish: 1}", "[", ""):
         (tmp_path / "bounds.yaml").write_text(text)
         refused(ReportError, r"bounds\.yaml", load_bounds, tmp_path / "bounds.yaml", "study")

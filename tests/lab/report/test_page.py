@@ -1,4 +1,4 @@
-from epiprior_lab.report.page import Page, Picture, Section, Table, picture, render_html, render_markdown, say
+from epiprior_lab.report.page import Page, Picture, Table, picture, render_html, render_markdown, say
 from html_reader import Reader
 
 HEAD, ROWS = ("who", "n"), [["all"], ["**a**", "1"]]
@@ -6,11 +6,11 @@ BESIDE = (Picture(path="a.png", alt="a"), Picture(path="b.png", alt="b", caption
 PAGE = Page(
     title="A page",
     about="Of `code` and X_L & <b>.",
-    sections=[
-        Section(title="Numbers", blocks=["Some prose.", Table(head=HEAD, rows=ROWS, fold="Folded")]),
-        Section(title="Nothing here", blocks=["Only prose.", Table(head=HEAD, rows=[])]),
-        Section(title="Side by side", blocks=[BESIDE]),
-    ],
+    sections={
+        "Numbers": ["Some prose.", Table(head=HEAD, rows=ROWS, fold="Folded")],
+        "Nothing here": ["Only prose.", Table(head=HEAD, rows=[])],
+        "Side by side": [BESIDE],
+    },
 )  # fmt: skip
 
 
@@ -31,7 +31,7 @@ def test_markdown_and_html_are_whole_and_escaped():
 
 
 def test_prose_is_filled_in_and_wrapped_and_lists_stay_lists():
-    lines = render_markdown(Page(title="t", about="- " + "word " * 60 + "\n- second", sections=[])).splitlines()[2:]
+    lines = render_markdown(Page(title="t", about="- " + "word " * 60 + "\n- second", sections={})).splitlines()[2:]
     assert max(map(len, lines)) <= 110
     assert [line[:2] for line in lines] == ["- ", "  ", "  ", "- "]
     assert "thresholds" not in say("duels", champion="epiprior")
