@@ -39,7 +39,7 @@ def labelled(kinds: pd.DataFrame, success_px: float) -> pd.DataFrame:
     return kinds.assign(
         kind=kind.mask(true & (error >= success_px), WRONG),
         confidence=kinds["confidence"].fillna(0.0),
-        inliers=kinds["support"].astype(float),
+        **dict.fromkeys(("inliers", COLMAP), kinds["support"].astype(float)),
         inlier_share=kinds["support"] / kinds["matches"].clip(lower=1),
         told=kinds["geometry"].isin(FLAT_GEOMETRIES),
     )
@@ -81,9 +81,8 @@ def confidence_table(kinds: pd.DataFrame, success_px: float) -> pd.DataFrame:
         right, strangers = (part["kind"] == RIGHT).to_numpy(), (part["kind"] == STRANGERS).to_numpy()
         if not right.any() or right.all():
             continue
-        scores = {COLMAP: "inliers"} if estimator == COLMAP else {s: s for s in SCORES if s != COLMAP}
-        for score, column in scores.items():
-            values = part[column].to_numpy(np.float64)
+        for score in (score for score in SCORES if (score == COLMAP) == (estimator == COLMAP)):
+            values = part[score].to_numpy(np.float64)
             row: dict[str, Any] = {"estimator": estimator, "input": name, "score": score, "estimates": len(part)}
             row["auc"] = float(roc_auc_score(right, values))
             reached = np.quantile(values[strangers], 1 - ACCEPTED, method="higher") if strangers.any() else 0.0
@@ -91,8 +90,8 @@ def confidence_table(kinds: pd.DataFrame, success_px: float) -> pd.DataFrame:
             if score == "confidence":
                 row["calibration_error"] = calibration_bins(values, right, 10).expected_calibration_error
                 flat, copies = (own.loc[own["kind"].isin(names), "told"] for names in (FLAT[:2], FLAT[2:]))
-                row |= {"flat_told": flat.mean(), "copies_told": copies.mean()}
-                row["false_flat"] = own.loc[own["kind"] == RIGHT, "told"].mean()
+                false = own.loc[own["kind"] == RIGHT, "told"].mean()
+                row |= {"flat_told": flat.mean(), "copies_told": copies.mean(), "false_flat": false}
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -104,8 +103,7 @@ def confidence_figure(kinds: pd.DataFrame, success_px: float, path: Path) -> Non
     with styled(path, 1, 3, (12.0, 4.0)) as (figure, ((roc, reliability, risk),)):
         for score, look in SCORES.items():
             part = table[(table["estimator"] == COLMAP) == (score == COLMAP)]
-            right = (part["kind"] == RIGHT).to_numpy()
-            values = part["inliers" if score == COLMAP else score].to_numpy(np.float64)
+            right, values = (part["kind"] == RIGHT).to_numpy(), part[score].to_numpy(np.float64)
             if not right.any() or right.all():
                 continue
             how: dict[str, Any] = {"color": look.colour, "ls": look.line}

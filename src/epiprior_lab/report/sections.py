@@ -90,13 +90,11 @@ def changed(m: Material) -> Iterator[Block]:
     table = m.tables["changed"]
     yield say("changed", every=EVERY)
     for threshold, at in table.groupby("threshold_px", sort=False):
-        records = at.set_index(["input", "group"]).to_dict("index")
-        groups, rows = order_of(at["group"]), []
-        for name in order_of(at["input"]):
-            found = [records[name, group] for group in groups]
-            rows.append([input_title(name), found[0]["estimator"], number(found[0]["unchanged"], 1)])
-            rows[-1] += [number(row["successes"], 1) for row in found]
-        head = ["matches", "estimator", f"as they are ({int(at['pairs'].iloc[0])})", *groups]
+        rows = []
+        for name, part in at.groupby("input", sort=False):
+            first, counts = part.iloc[0], (number(count, 1) for count in part["successes"])
+            rows.append([input_title(str(name)), first["estimator"], number(first["unchanged"], 1), *counts])
+        head = ["matches", "estimator", f"as they are ({int(at['pairs'].iloc[0])})", *order_of(at["group"])]
         yield f"Pairs below {threshold:g} px:"
         yield Table(head=head, rows=rows, texts=2)
 

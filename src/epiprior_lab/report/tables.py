@@ -89,17 +89,16 @@ def changed_table(results: Results, thresholds_px: Sequence[float]) -> pd.DataFr
     threshold; ``group, pairs``; ``successes`` (mean over seeds) and ``unchanged``, those of the unchanged pairs.
     """
     places = {f"{row.group}-{row.pair_id}": k for k, row in enumerate(results.tables.pairs.itertuples())}
-    rows, everyone = [], results.masks[ALL]
-    for name in results.inputs_of_all if set(CHANGES) & set(results.sets) else ():
+    changed, everyone, rows = [group for group in results.sets if group in CHANGES], results.masks[ALL], []
+    for name in results.inputs_of_all if changed else ():
         known = [e for e in results.estimators if name in results.inputs(e)]
         best = max(known, key=lambda e: float(results.errors.of(e, name, thresholds_px[0])[everyone].sum()))
-        for threshold in thresholds_px:
+        for threshold, (group, member) in product(thresholds_px, results.groups(changed)):
             rates = results.errors.of(best, name, threshold)
-            for group, member in results.groups([group for group in results.sets if group in CHANGES]):
-                before = [places[pair_id] for pair_id in results.tables.pairs.loc[member, "pair_id"]]
-                row: Cells = {"threshold_px": threshold, "input": name, "estimator": best, "group": group}
-                row |= {"pairs": len(before), "successes": float(rates[member].sum())}
-                rows.append(row | {"unchanged": float(rates[before].sum())})
+            before = [places[pair_id] for pair_id in results.tables.pairs.loc[member, "pair_id"]]
+            row: Cells = {"threshold_px": threshold, "input": name, "estimator": best, "group": group}
+            row |= {"pairs": len(before), "successes": float(rates[member].sum())}
+            rows.append(row | {"unchanged": float(rates[before].sum())})
     return pd.DataFrame(rows)
 
 
@@ -352,7 +351,7 @@ def classifier_table(metrics: pd.DataFrame) -> pd.DataFrame:
             values = part[part["grouped"] == flag].set_index("fold")["value"]
             folds = values[values.index.str.isdecimal()].dropna()
             row[name] = float(values.get("all", np.nan))
-            row[f"{name}_sd"] = float(folds.std(ddof=1)) if len(folds) > 1 else np.nan
+            row[f"{name}_sd"] = float(folds.std())
             if flag:
                 row["calibrated"] = float(values.get("calibrated", np.nan))
         rows.append(row)
