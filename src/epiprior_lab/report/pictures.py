@@ -8,6 +8,7 @@ here, and on blank frames of the same size, for the page that is committed.
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -50,25 +51,24 @@ def contact_sheet(pair_sets: Mapping[str, Sequence[Pair]], path: Path) -> Path:
 
     A DatasetError says that there is no pair to show, an ImageError that an image cannot be read.
     """
-    columns = max((len(pairs) for pairs in pair_sets.values()), default=0)
-    if not columns:
+    across = min(max((len(pairs) for pairs in pair_sets.values()), default=0), 4)
+    if not across:
         raise DatasetError(f"{path}: no pairs for a contact sheet")
-    across = min(columns, 4)
-    rows_of = {family: -(-len(pairs) // across) for family, pairs in pair_sets.items()}
-    rows = sum(rows_of.values())
+    places = [  # families begin a row each
+        (family if k == 0 else " ", pairs[k] if k < len(pairs) else None)
+        for family, pairs in pair_sets.items()
+        for k in range(-(-len(pairs) // across) * across)
+    ]
+    rows = len(places) // across
     with styled(path, rows, across, (_PANEL_INCHES[0] * across, _PANEL_INCHES[1] * rows)) as (figure, axes):
-        first = 0
-        for family, pairs in pair_sets.items():
-            cells = [cell for row in axes[first : first + rows_of[family]] for cell in row]
-            for k, cell in enumerate(cells):
-                cell.set_axis_off()
-                if k < len(pairs):
-                    left, right = _padded(_thumbnail(pairs[k].image1), (0, 0, 0, _GAP)), _thumbnail(pairs[k].image2)
-                    cell.imshow(np.hstack([left, right]), interpolation="none")
-                    cell.set_title(family if k == 0 else " ", fontsize=11, color=INK)
-                    how: Any = {"ha": "center", "va": "top", "fontsize": 8, "color": MUTED}
-                    cell.text(0.5, -0.03, _caption(pairs[k]), transform=cell.transAxes, **how)
-            first += rows_of[family]
+        for cell, (title, pair) in zip(chain(*axes), places, strict=True):
+            cell.set_axis_off()
+            if pair is not None:
+                left, right = _padded(_thumbnail(pair.image1), (0, 0, 0, _GAP)), _thumbnail(pair.image2)
+                cell.imshow(np.hstack([left, right]), interpolation="none")
+                cell.set_title(title, fontsize=11, color=INK)
+                how: Any = {"ha": "center", "va": "top", "fontsize": 8, "color": MUTED}
+                cell.text(0.5, -0.03, _caption(pair), transform=cell.transAxes, **how)
         engine = figure.get_layout_engine()
         if engine is not None:  # little room between panels
             engine.set(w_pad=0.04, h_pad=0.05, wspace=0.01, hspace=0.02)  # type: ignore[call-arg]
