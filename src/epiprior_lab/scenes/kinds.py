@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from epiprior_lab.scenes.photography import encode_jpeg, take
+from epiprior_lab.scenes.render import encode_jpeg, take
 from epiprior_lab.scenes.world import Image
 
 Views = tuple[Image, Image]

@@ -1,12 +1,12 @@
 """Streets and open places: sky, ground and rim, what is built there and what stands about."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.random import Generator
 
-from epiprior_lab.scenes.camera_pairs import Subject
 from epiprior_lab.scenes.clutter import FURNITURE, PASSING, add_crates, add_poster_board, add_rock, scatter
 from epiprior_lab.scenes.facades import HouseStyle, add_facade, add_house
 from epiprior_lab.scenes.materials import WallStyle, foliage, pavement, wall
@@ -19,6 +19,20 @@ _GROUND_TILE_M = 10.0
 _ROWS, _COLUMNS = 512, 1024  # of the surroundings
 
 FACADE_TEXELS_PER_M = 56.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """What is photographed: cameras stand before the plane z = 0, `eye_m` above the ground, and aim at a place on it.
+
+    `distance_m` (low, high) is that of the nearer camera, `obliquity_deg` the largest angle to the plane's normal.
+    """
+
+    distance_m: tuple[float, float]
+    obliquity_deg: float
+    aim_across_m: tuple[float, float]
+    aim_up_m: tuple[float, float]
+    eye_m: tuple[float, float]
 
 
 def _begin_world(rng: Generator) -> WorldBuilder:
