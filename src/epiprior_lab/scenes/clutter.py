@@ -195,17 +195,13 @@ def add_rock(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     points = _bumpy_ball(rng, radius, stretch=float(rng.uniform(0.8, 1.8)))
     centre = frame.point(0.0, base + 0.8 * radius)
     rows, columns = points.shape[0] - 1, points.shape[1] - 1
-    for i in range(rows):
-        for j in range(columns):
-            p = points[i : i + 2, j : j + 2] + centre
-            u, v, du, dv = j / columns, i / rows, 1 / columns, 1 / rows
-            upper = np.array([[u, v], [du, 0.0], [0.0, dv]])
-            lower = np.array([[u + du, v + dv], [-du, 0.0], [0.0, -dv]])
-            for (here, right, left), part in (
-                ((p[0, 0], p[0, 1], p[1, 0]), upper),
-                ((p[1, 1], p[1, 0], p[0, 1]), lower),
-            ):
-                world.face(here, right - here, left - here, texture, texture_frame=part, triangle=True)
+    for i, j in np.ndindex(rows, columns):
+        (p00, p01), (p10, p11) = points[i : i + 2, j : j + 2] + centre
+        u, v, du, dv = j / columns, i / rows, 1 / columns, 1 / rows
+        upper = np.array([[u, v], [du, 0.0], [0.0, dv]])
+        lower = np.array([[u + du, v + dv], [-du, 0.0], [0.0, -dv]])
+        world.face(p00, p01 - p00, p10 - p00, texture, texture_frame=upper, triangle=True)
+        world.face(p11, p10 - p11, p01 - p11, texture, texture_frame=lower, triangle=True)
 
 
 def _bumpy_ball(rng: Generator, radius: float, *, stretch: float) -> FloatArray:

@@ -62,7 +62,8 @@ def _scrawl(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float)
 
 def _patch(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -> None:
     """Plaster of another tone, with a ragged rim."""
-    area = _area(wall, x, y, int(rng.uniform(0.4, 2.0) * scale), int(rng.uniform(0.4, 2.0) * scale))
+    width, height = int(rng.uniform(0.4, 2.0) * scale), int(rng.uniform(0.4, 2.0) * scale)
+    area = wall[y : y + height, x : x + width, :3]
     height, width = area.shape[:2]
     if min(height, width) < 8:
         return
@@ -74,7 +75,8 @@ def _patch(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) 
 
 def _stain(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -> None:
     """Damp or soot: dark, without a rim."""
-    area = _area(wall, x, y, int(rng.uniform(0.3, 1.5) * scale), int(rng.uniform(0.5, 2.5) * scale))
+    width, height = int(rng.uniform(0.3, 1.5) * scale), int(rng.uniform(0.5, 2.5) * scale)
+    area = wall[y : y + height, x : x + width, :3]
     height, width = area.shape[:2]
     if min(height, width) < 8:
         return
@@ -89,8 +91,3 @@ def _vent(rng: np.random.Generator, wall: Image, x: int, y: int, scale: float) -
     grille[:: max(3, side // 8)] //= 3
     cv2.rectangle(grille, (0, 0), (side - 1, side - 1), (60, 60, 60), max(1, side // 12))
     paste(wall, grille, x, y)
-
-
-def _area(wall: Image, x: int, y: int, width: int, height: int) -> Image:
-    """Return a view of the colours of a rectangle, cut at the rim of the wall."""
-    return wall[max(y, 0) : y + height, max(x, 0) : x + width, :3]

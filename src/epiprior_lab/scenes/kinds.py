@@ -31,14 +31,11 @@ def make_views(kind: str, photographs: Views, seed: int) -> Views:
     Photographs are taken at 1024 pixels at most. Equal seeds give equal bytes.
     """
     rng = np.random.default_rng(seed)
-    first, second = (_at_most(photograph, _LONGER_SIDE) for photograph in photographs)
+    first, second = (_shrunk(image, min(1.0, _LONGER_SIDE / max(image.shape[:2]))) for image in photographs)
     return _MAKERS[kind](first, second, rng)
 
 
-def _at_most(image: Image, side: int) -> Image:
-    factor = side / max(image.shape[:2])
-    if factor >= 1:
-        return image
+def _shrunk(image: Image, factor: float) -> Image:
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -102,8 +99,7 @@ def _copy(image: Image, rng: np.random.Generator) -> Views:
     copy, height, width = image, *image.shape[:2]
     form = int(rng.integers(6))
     if form in (1, 5):
-        factor = float(rng.uniform(0.5, 0.9))
-        copy = np.asarray(cv2.resize(copy, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), np.uint8)
+        copy = _shrunk(copy, rng.uniform(0.5, 0.9))
     elif form == 2:
         top, left = (round(float(rng.uniform(0.05, 0.3)) * side) for side in (height, width))
         copy = copy[top : top + round(0.65 * height), left : left + round(0.65 * width)]

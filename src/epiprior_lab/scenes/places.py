@@ -41,13 +41,7 @@ def _begin_world(rng: Generator) -> WorldBuilder:
     half, tiles = _GROUND_M / 2, _GROUND_M / _GROUND_TILE_M
     corner, across, down = (-half, 0.0, half), (_GROUND_M, 0.0, 0.0), (0.0, 0.0, -_GROUND_M)
     world.face(corner, across, down, ground, area=(0.0, 0.0, tiles, tiles))
-    _add_backdrop(world, rng)
-    return world
-
-
-def _add_backdrop(world: WorldBuilder, rng: Generator) -> None:
-    """Add a ring of flat houses and trees at the rim of the ground."""
-    corners, radius = 9, 0.48 * _GROUND_M
+    corners, radius = 9, 0.48 * _GROUND_M  # of a ring of flat houses and trees at the rim of the ground
     textures = [world.texture(_row_of_houses(rng)) for _ in range(3)]
     for k in range(corners):
         angles = 2 * np.pi * k / corners, 2 * np.pi * (k + 1) / corners
@@ -55,6 +49,7 @@ def _add_backdrop(world: WorldBuilder, rng: Generator) -> None:
         high = float(rng.uniform(7, 13))
         # Seen from inside the ring the corners follow each other from right to left.
         world.face(there - [0.0, high, 0.0], here - there, (0.0, high, 0.0), textures[k % 3])
+    return world
 
 
 def _row_of_houses(rng: Generator) -> Image:
@@ -190,10 +185,6 @@ def draw_open_scene(rng: Generator, settings: FamilySettings) -> tuple[World, Su
     scatter(world, rng, FURNITURE, count=count, across=(-9.0, 9.0), before=(-6.0, 4.0), view=BOTH_VIEWS)
     _add_passing(world, rng, settings, across=(-6.0, 6.0), before=(0.5, 4.0))
     subject = Subject(
-        distance_m=(7.0, 11.0),
-        obliquity_deg=70.0,
-        aim_across_m=(-2.5, 2.5),
-        aim_up_m=(1.0, 2.2),
-        eye_m=(1.4, 3.0),
+        distance_m=(7.0, 11.0), obliquity_deg=70.0, aim_across_m=(-2.5, 2.5), aim_up_m=(1.0, 2.2), eye_m=(1.4, 3.0)
     )
     return world.build(), subject

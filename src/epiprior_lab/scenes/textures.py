@@ -91,17 +91,11 @@ def surface(rng: np.random.Generator, height: int, width: int, names: Sequence[s
     image = cv2.cvtColor(photograph(names[int(rng.integers(len(names)))]), cv2.COLOR_RGB2GRAY)
     rows, columns = int(np.ceil(height / zoom)) + 1, int(np.ceil(width / zoom)) + 1
     top, left = int(rng.integers(image.shape[0])), int(rng.integers(image.shape[1]))
-    r = _mirrored(np.arange(top, top + rows), image.shape[0])
-    c = _mirrored(np.arange(left, left + columns), image.shape[1])
-    window = cv2.resize(image[r[:, None], c[None]].astype(np.float32), None, fx=zoom, fy=zoom)[:height, :width]
+    mirrored = np.pad(image, ((0, rows), (0, columns)), mode="symmetric")
+    window = mirrored[top : top + rows, left : left + columns].astype(np.float32)
+    window = cv2.resize(window, None, fx=zoom, fy=zoom)[:height, :width]
     window = cv2.resize(window, (width, height)) if window.shape != (height, width) else window
     return np.asarray((window - window.mean()) / max(float(window.std()), 1.0), dtype=np.float32)
-
-
-def _mirrored(index: np.ndarray, length: int) -> np.ndarray:
-    """Fold indices into [0, length) as in a row of mirrors."""
-    folded = index % (2 * length)
-    return np.where(folded < length, folded, 2 * length - 1 - folded)
 
 
 def tinted(

@@ -96,17 +96,13 @@ def draw_trim(
         cv2.rectangle(wall, (left - band, top - band), (right + band, bottom + band), edge, -1)
         cv2.rectangle(wall, (left - band + 1, top - band + 1), (right + band - 1, bottom + band - 1), colour, -1)
         cv2.rectangle(wall, (left - band // 3, top - band // 3), (right + band // 3, bottom + band // 3), edge, 1)
-    middle, high = (left + right) // 2, top - band
-    if style.lintel == "keystone":
-        half = band // 2
-        corners = (middle - band, high - band), (middle + band, high - band), (middle + half, top), (middle - half, top)
-        key = np.array(corners, dtype=np.int32)
-        cv2.fillPoly(wall, [key], colour, cv2.LINE_AA)
-        cv2.polylines(wall, [key], True, edge, 1, cv2.LINE_AA)
-    elif style.lintel == "pediment":
-        gable = np.array([(left - 2 * band, high), (middle, high - 3 * band), (right + 2 * band, high)], dtype=np.int32)
-        cv2.fillPoly(wall, [gable], colour, cv2.LINE_AA)
-        cv2.polylines(wall, [gable], True, edge, max(1, band // 3), cv2.LINE_AA)
+    middle, high, half = (left + right) // 2, top - band, band // 2
+    key = [(middle - band, high - band), (middle + band, high - band), (middle + half, top), (middle - half, top)]
+    gable = [(left - 2 * band, high), (middle, high - 3 * band), (right + 2 * band, high)]
+    if style.lintel in ("keystone", "pediment"):
+        corners, rim = (key, 1) if style.lintel == "keystone" else (gable, max(1, band // 3))
+        cv2.fillPoly(wall, [np.array(corners, dtype=np.int32)], colour, cv2.LINE_AA)
+        cv2.polylines(wall, [np.array(corners, dtype=np.int32)], True, edge, rim, cv2.LINE_AA)
     elif style.lintel == "arch":
         axes = ((right - left) // 2 + band, int(0.28 * (right - left)) + band)
         cv2.ellipse(wall, (middle, top), axes, 0, 180, 360, colour, -1, cv2.LINE_AA)
@@ -152,11 +148,10 @@ def door(rng: np.random.Generator, height: int, width: int) -> Image:
         image[..., :3] = jittered(rng, (96, 70, 50), 0.4)
         relief = 1 + 0.12 * noise(rng, height, width, "middle")
         image[..., :3] = np.clip(image[..., :3] * relief[..., None], 0, 255)
-        for y in range(2):
-            for x in range(2):
-                corner = (int((0.1 + 0.45 * x) * width), int((0.08 + 0.46 * y) * height))
-                other = (int((0.45 + 0.45 * x) * width), int((0.46 + 0.46 * y) * height))
-                cv2.rectangle(image, corner, other, (40, 30, 24, _SOLID), max(1, width // 30))
+        for y, x in np.ndindex(2, 2):
+            corner = (int((0.1 + 0.45 * x) * width), int((0.08 + 0.46 * y) * height))
+            other = (int((0.45 + 0.45 * x) * width), int((0.46 + 0.46 * y) * height))
+            cv2.rectangle(image, corner, other, (40, 30, 24, _SOLID), max(1, width // 30))
         return image
     image[..., :3] = crop(rng, height, width, PICTURES, part=(0.4, 1.0)) // 2
     image[..., 3] = GLASS + 60
