@@ -7,10 +7,9 @@ import numpy as np
 from numpy.random import Generator
 
 from epiprior.types import FloatArray
-from epiprior_lab.scenes.details import poster
-from epiprior_lab.scenes.materials import WallStyle, foliage, jittered, wall
-from epiprior_lab.scenes.textures import DUPLEX, PICTURES, SURFACES, Colour, crop, letters, noise, surface, tinted
-from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, Image, Span, Vector, WorldBuilder, box, upright
+from epiprior_lab.scenes.details import DUPLEX, poster
+from epiprior_lab.scenes.textures import WallStyle, crop, foliage, jittered, letters, noise, surface, tinted, wall
+from epiprior_lab.scenes.world import BOTH_VIEWS, Colour, Frame, Image, Span, Vector, WorldBuilder, box, upright
 
 Placers = tuple[Callable[[WorldBuilder, Generator, Vector], None], ...]
 
@@ -101,7 +100,7 @@ def _car_front(rng: Generator, colour: Colour) -> Image:
 
 
 def _car_windows(rng: Generator, colour: Colour) -> Image:
-    image = np.asarray(crop(rng, 64, 256, PICTURES) // 4 + 18, dtype=np.uint8)
+    image = np.asarray(crop(rng, 64, 256) // 4 + 18, dtype=np.uint8)
     for x in (0, 120, 248):
         image[:, x : x + 8] = colour
     image[:6] = image[-5:] = colour
@@ -111,7 +110,7 @@ def _car_windows(rng: Generator, colour: Colour) -> Image:
 def add_person(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a passer-by: a flat figure, clothed in parts of photographs."""
     image = np.zeros((192, 72, 4), dtype=np.uint8)
-    image[..., :3] = crop(rng, 192, 72, PICTURES, part=(0.3, 0.8)) // 2 + np.uint8(20)
+    image[..., :3] = crop(rng, 192, 72, part=(0.3, 0.8)) // 2 + np.uint8(20)
     image[110:, :, :3] = np.array(jittered(rng, (64, 66, 84), 0.6))
     shape = np.zeros((192, 72), dtype=np.uint8)
     cv2.ellipse(shape, (36, 18), (12, 16), 0, 0, 360, 255, -1)
@@ -142,7 +141,7 @@ def add_crates(world: WorldBuilder, rng: Generator, position: Vector) -> None:
 def _crate_side(rng: Generator) -> Image:
     """Return one side of a box: cardboard, wood, a picture or masonry."""
     if rng.random() < 0.6:
-        return poster(rng, 176, 192) if rng.random() < 0.5 else crop(rng, 176, 192, PICTURES, part=(0.5, 1.0))
+        return poster(rng, 176, 192) if rng.random() < 0.5 else crop(rng, 176, 192, part=(0.5, 1.0))
     return wall(rng, 176, 192, WallStyle(rng, distinct=0.8), texels_per_m=120.0)
 
 
@@ -183,7 +182,7 @@ def add_fence(world: WorldBuilder, rng: Generator, position: Vector) -> None:
 def add_rock(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a rock or statue: a bumpy ball of triangles, on a pedestal at times."""
     radius = float(rng.uniform(0.35, 0.9))
-    relief = 0.22 * surface(rng, 256, 512, SURFACES, zoom=float(rng.uniform(0.6, 1.5)))
+    relief = 0.22 * surface(rng, 256, 512, zoom=float(rng.uniform(0.6, 1.5)))
     relief = relief + 0.16 * noise(rng, 256, 512, "middle")
     texture = world.texture(tinted(jittered(rng, (148, 140, 126), 0.3), relief))
     frame, base = random_frame(rng, position), 0.0

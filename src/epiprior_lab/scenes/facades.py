@@ -6,12 +6,10 @@ import cv2
 import numpy as np
 from numpy.random import Generator
 
-from epiprior_lab.scenes.details import paint_details, poster
-from epiprior_lab.scenes.materials import WallStyle, foliage, jittered, ornament, roof, wall
+from epiprior_lab.scenes.details import WindowStyle, door, draw_panes, draw_trim, paint_details, poster
 from epiprior_lab.scenes.settings import FamilySettings
-from epiprior_lab.scenes.textures import Colour, noise, tinted
-from epiprior_lab.scenes.windows import WindowStyle, door, draw_panes, draw_trim
-from epiprior_lab.scenes.world import Frame, Image, Span, WorldBuilder, box, upright
+from epiprior_lab.scenes.textures import WallStyle, foliage, jittered, noise, ornament, roof, tinted, wall
+from epiprior_lab.scenes.world import Colour, Frame, Image, Span, WorldBuilder, box, upright
 
 _CORNICE_REPEAT_M = 2.0
 Opening = tuple[float, float, float, float]

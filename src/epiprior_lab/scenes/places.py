@@ -9,9 +9,8 @@ from numpy.random import Generator
 
 from epiprior_lab.scenes.clutter import FURNITURE, PASSING, add_crates, add_poster_board, add_rock, scatter
 from epiprior_lab.scenes.facades import HouseStyle, add_facade, add_house
-from epiprior_lab.scenes.materials import WallStyle, foliage, pavement, wall
 from epiprior_lab.scenes.settings import Bounds, FamilySettings
-from epiprior_lab.scenes.textures import crop, noise
+from epiprior_lab.scenes.textures import WallStyle, crop, foliage, noise, pavement, wall
 from epiprior_lab.scenes.world import BOTH_VIEWS, FIRST_VIEW, SECOND_VIEW, Frame, Image, World, WorldBuilder, upright
 
 _GROUND_M = 120.0

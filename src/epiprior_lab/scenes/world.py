@@ -17,6 +17,7 @@ from epiprior.types import FloatArray, IntArray
 
 Image = NDArray[np.uint8]
 Vector = FloatArray | tuple[float, float, float] | list[float]
+Colour = tuple[float, float, float]
 Span = tuple[float, float]
 Part = tuple[float, float, float, float]  # of a texture: left, top, right, bottom
 
