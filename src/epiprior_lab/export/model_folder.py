@@ -136,10 +136,7 @@ def write_folder(
     entries: Mapping[str, Any],
     card: Callable[[Mapping[str, Any]], str],
 ) -> Mapping[str, Any]:
-    """Write the classifiers that training made of `targets`, with a manifest and its card; return the manifest.
-
-    It holds `entries` beside what training says.
-    """
+    """Write the classifiers of `targets`, a card, and the manifest, which holds `entries` too; return the manifest."""
     summary = json.loads((training / "summary.json").read_text(encoding="utf-8"))
     manifest: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": folder.name, **entries}
     manifest["training_data"] = summary["training_data"] | entries.get("training_data", {})

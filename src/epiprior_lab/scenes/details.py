@@ -23,14 +23,14 @@ class WindowStyle:
         trims = ((r, g, b), (206, 198, 180), (150, 140, 128), (232, 228, 220))
         shutters = ((70, 92, 72), (110, 60, 48), (72, 84, 110), (130, 118, 98))
         trim = trims[int(rng.integers(len(trims)))]
-        self.width_m, self.height_m = float(rng.uniform(0.9, 1.6)), float(rng.uniform(1.3, 2.1))
+        self.width_m, self.height_m = rng.uniform(0.9, 1.6), rng.uniform(1.3, 2.1)
         self.columns, self.rows = int(rng.choice((2, 2, 2, 3, 4))), int(rng.choice((1, 2, 2, 3, 4)))
         self.frame_colour = jittered(rng, frames[int(rng.integers(len(frames)))], 0.08)
         self.trim_colour = jittered(rng, trim, 0.06)
         self.shutter_colour = jittered(rng, shutters[int(rng.integers(len(shutters)))], 0.15)
-        self.frame_m = float(rng.uniform(0.05, 0.09))
+        self.frame_m = rng.uniform(0.05, 0.09)
         self.lintel = LINTELS[int(rng.integers(len(LINTELS)))]
-        self.shutters = bool(rng.random() < 0.25)
+        self.shutters = rng.random() < 0.25
         self.variety = variety
 
 
@@ -43,7 +43,7 @@ def draw_panes(rng: Generator, area: Image, style: WindowStyle, *, texels_per_m:
     area[..., 3] = int(GLASS + rng.uniform(0, 70))
     if rng.random() < 0.85:
         room = crop(rng, height, width, part=(0.15, 0.5))
-        weight = float(rng.uniform(0.15, 0.25 + 0.5 * style.variety))
+        weight = rng.uniform(0.15, 0.25 + 0.5 * style.variety)
         area[..., :3] = cv2.addWeighted(area[..., :3], 1 - weight / 2, room, weight, 0)
     _draw_curtains(rng, area, style)
     frame = max(2, round(style.frame_m * texels_per_m))

@@ -43,7 +43,7 @@ def _overlay(first: Image, second: Image, rng: np.random.Generator) -> Views:
     height, width = np.minimum(first.shape[:2], second.shape[:2]).tolist()
     form, grey = int(rng.integers(3)), _GREY[int(rng.integers(3))]
     letters = "".join(chr(65 + int(code)) for code in rng.integers(0, 26, 7))
-    size, day = float(rng.uniform(0.7, 1.3)) * width / 800, int(rng.integers(10, 31))
+    size, day = rng.uniform(0.7, 1.3) * width / 800, int(rng.integers(10, 31))
 
     def written(image: Image) -> Image:
         out = np.ascontiguousarray(image[:height, :width])
@@ -101,7 +101,7 @@ def _copy(image: Image, rng: np.random.Generator) -> Views:
     if form in (1, 5):
         copy = _shrunk(copy, rng.uniform(0.5, 0.9))
     elif form == 2:
-        top, left = (round(float(rng.uniform(0.05, 0.3)) * side) for side in (height, width))
+        top, left = (round(rng.uniform(0.05, 0.3) * side) for side in (height, width))
         copy = copy[top : top + round(0.65 * height), left : left + round(0.65 * width)]
     if form in (3, 5):
         sides = [round(float(part) * width) for part in rng.uniform(0.02, 0.12, 4)]

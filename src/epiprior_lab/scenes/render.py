@@ -42,10 +42,7 @@ def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Flo
 
 
 def render_image(world: World, camera: Camera, light: Light, *, view: int = BOTH_VIEWS) -> Image:
-    """Return a camera's image (height, width, 3), RGB, of the faces of `view`, without effects of lens or sensor.
-
-    Shadows fall within about 30 m of the origin.
-    """
+    """Return an RGB image (height, width, 3) of the faces of `view`; shadows fall within about 30 m of the origin."""
     faces = _faces(world, camera, view, light)
     _, number = _nearest(world, camera, faces, _SAMPLES)
     to_world, sun = camera.R.T @ np.linalg.inv(camera.K), _sun_camera(light)
@@ -59,11 +56,11 @@ def render_image(world: World, camera: Camera, light: Light, *, view: int = BOTH
 def take(image: Image, rng: np.random.Generator) -> Image:
     """Return an image, shape (H, W, 3), as a camera would have delivered it."""
     height, width = image.shape[:2]
-    warmth = float(rng.uniform(-0.06, 0.06))
-    exposure = float(rng.uniform(82, 120))  # median brightness that the camera aims at, levels of 256
-    gamma = float(rng.uniform(0.85, 1.2))
+    warmth = rng.uniform(-0.06, 0.06)
+    exposure = rng.uniform(82, 120)  # median brightness that the camera aims at, levels of 256
+    gamma = rng.uniform(0.85, 1.2)
     vignetting = np.float32(rng.uniform(0.0, 0.2))  # loss of brightness in the corners
-    image = np.asarray(cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.3, 0.9))), dtype=np.uint8)
+    image = np.asarray(cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 0.9)), dtype=np.uint8)
     noise = np.float32(rng.uniform(0.6, 2.5))  # a deviation, levels of 256
     tones = (np.arange(256) / 255.0) ** gamma * 255.0
     middle = max(float(np.median(tones[image[::8, ::8]])), 1.0)

@@ -1,7 +1,4 @@
-"""Textures: walls, roofs, pavements and foliage as tileable or large images, and what they are made of.
-
-That is photographs that scikit-image and scikit-learn carry, and natural noise.
-"""
+"""Photographs that scikit-image and scikit-learn carry, natural noise, and textures: walls, roofs, floors, foliage."""
 
 import functools
 from collections.abc import Sequence
@@ -83,10 +80,7 @@ def noise(rng: Generator, height: int, width: int, grain: Grain) -> Float32Array
 
 
 def crop(rng: Generator, height: int, width: int, names: Sequence[str] = PICTURES, *, part: Span = (0.3, 1.0)) -> Image:
-    """Return a random crop of one of the photographs `names`, (height, width, 3).
-
-    `part` bounds the side of the crop as a part of the largest crop of that shape.
-    """
+    """Return a random crop (height, width, 3) of one of the photographs `names`, its side a `part` of the largest."""
     image = photograph(names[int(rng.integers(len(names)))])
     rows, columns = image.shape[:2]
     scale = min(rows / height, columns / width) * rng.uniform(*part)
@@ -147,7 +141,7 @@ class WallStyle:
         course, stone, *_ = _COURSES.get(self.masonry, ((1.0, 1.0), (1.0, 1.0)))
         self.colour = jittered(rng, WALL_COLOURS[int(rng.integers(len(WALL_COLOURS)))], 0.12)
         self.second_colour = jittered(rng, self.colour, 0.3)
-        self.course_m, self.stone_m = float(rng.uniform(*course)), float(rng.uniform(*stone))
+        self.course_m, self.stone_m = rng.uniform(*course), rng.uniform(*stone)
         self.roughness = float(rng.uniform(0.015, 0.035) + 0.05 * distinct * rng.uniform(0.4, 1.0))
         self.stains = float(rng.uniform(0.02, 0.05) + 0.09 * distinct * rng.uniform(0.4, 1.0))
 
@@ -155,10 +149,7 @@ class WallStyle:
 def courses(
     rng: Generator, height: int, width: int, stone: Span, *, tones: float, joints: float, regular: bool = True
 ) -> Float32Array:
-    """Return rows of stones with joints, (height, width), as deviations from brightness 1; in bond when `regular`.
-
-    `stone` is height and width of a stone, pixels.
-    """
+    """Return rows of stones, `stone` pixels high and wide, as deviations from brightness 1; in bond when `regular`."""
     course_px, stone_px = stone
     relief = np.empty((height, width), dtype=np.float32)
     edges = np.unique(np.rint(np.arange(0.0, height + course_px, course_px)).astype(int))
@@ -183,7 +174,7 @@ def courses(
 def wall(rng: Generator, height: int, width: int, style: WallStyle, *, texels_per_m: float) -> Image:
     """Return a wall, shape (height, width, 3), that repeats only what its masonry repeats."""
     grain = ("gravel", "grass", "tissue", "moon")
-    relief = style.roughness * surface(rng, height, width, grain, zoom=float(rng.uniform(0.8, 2.5)))
+    relief = style.roughness * surface(rng, height, width, grain, zoom=rng.uniform(0.8, 2.5))
     relief += 0.7 * style.roughness * noise(rng, height, width, "fine")
     stains = noise(rng, height, width, "coarse")
     relief += style.stains * stains + 0.5 * style.stains * noise(rng, height, width, "middle")
@@ -204,7 +195,7 @@ def _add_crack(rng: Generator, relief: Float32Array) -> None:
     angle = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.45, size=steps))
     path = np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]) * rng.uniform(3, 9), axis=0)
     path += rng.uniform((0, 0), relief.shape[::-1])
-    cv2.polylines(relief, [path.astype(np.int32)], False, float(-rng.uniform(0.15, 0.4)), int(rng.integers(1, 3)))
+    cv2.polylines(relief, [path.astype(np.int32)], False, -rng.uniform(0.15, 0.4), int(rng.integers(1, 3)))
 
 
 def roof(rng: Generator, height: int, width: int, *, texels_per_m: float) -> Image:
@@ -221,13 +212,13 @@ def pavement(rng: Generator, height: int, width: int, *, texels_per_m: float) ->
     kind = rng.choice(("slabs", "setts", "asphalt", "gravel", "grass"))
     relief = 0.07 * noise(rng, height, width, "coarse") + 0.03 * noise(rng, height, width, "fine")
     if kind == "grass":
-        relief += 0.16 * surface(rng, height, width, ("grass",), zoom=float(rng.uniform(0.4, 0.8)))
+        relief += 0.16 * surface(rng, height, width, ("grass",), zoom=rng.uniform(0.4, 0.8))
         mixture = np.clip(0.4 + 0.4 * noise(rng, height, width, "middle"), 0, 1)
         return tinted((104, 118, 62), relief, (150, 140, 84), mixture)
     grey = jittered(rng, (140, 134, 126), 0.2)
     if kind in ("slabs", "setts"):
         side = (rng.uniform(0.35, 0.8) if kind == "slabs" else rng.uniform(0.12, 0.2)) * texels_per_m
-        stone, regular = side * rng.uniform(1.0, 1.6), bool(rng.random() < 0.6)
+        stone, regular = side * rng.uniform(1.0, 1.6), rng.random() < 0.6
         relief += courses(rng, height, width, (side, stone), tones=0.08, joints=0.3, regular=regular)
     zoom = float(rng.uniform(0.2, 0.35) if kind == "asphalt" else rng.uniform(0.3, 0.6))
     relief += (0.12 if kind == "gravel" else 0.04) * surface(rng, height, width, ("gravel",), zoom=zoom)
@@ -236,7 +227,7 @@ def pavement(rng: Generator, height: int, width: int, *, texels_per_m: float) ->
 
 def foliage(rng: Generator, side: int) -> Image:
     """Return leaves with holes between them, shape (side, side, 4)."""
-    relief = 0.35 * surface(rng, side, side, ("grass", "gravel"), zoom=float(rng.uniform(0.5, 1.0)))
+    relief = 0.35 * surface(rng, side, side, ("grass", "gravel"), zoom=rng.uniform(0.5, 1.0))
     relief += 0.25 * noise(rng, side, side, "middle")
     image = tinted(jittered(rng, (84, 104, 52), 0.25), relief)
     y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]

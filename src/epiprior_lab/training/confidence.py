@@ -115,10 +115,7 @@ def _sample(found: CaseFacts, target: str, seed: int) -> Sample:
 
 
 def least_confidence(comparison: Comparison, facts: Sequence[CaseFacts], accepted: float, floor: float) -> float:
-    """Return the confidence that a share of `accepted` of the estimates on unrelated pairs exceeds, at least `floor`.
-
-    By out-of-fold probabilities, calibrated on other folds.
-    """
+    """Return the out-of-fold confidence that a share `accepted` of estimates on unrelated pairs exceeds, or `floor`."""
     found = comparison.grouped[comparison.exported].calibrated
     assert found is not None
     kinds = {one.case.name: one.case.kind for one in facts}
