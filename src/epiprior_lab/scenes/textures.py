@@ -103,9 +103,8 @@ def surface(rng: Generator, height: int, width: int, names: Sequence[str] = SURF
     image = cv2.cvtColor(photograph(names[int(rng.integers(len(names)))]), cv2.COLOR_RGB2GRAY)
     rows, columns = int(np.ceil(height / zoom)) + 1, int(np.ceil(width / zoom)) + 1
     top, left = int(rng.integers(image.shape[0])), int(rng.integers(image.shape[1]))
-    mirrored = np.pad(image, ((0, rows), (0, columns)), mode="symmetric")
-    window = mirrored[top : top + rows, left : left + columns].astype(np.float32)
-    window = cv2.resize(window, None, fx=zoom, fy=zoom)[:height, :width]
+    mirrored = np.pad(image, ((0, rows), (0, columns)), mode="symmetric")[top : top + rows, left : left + columns]
+    window = cv2.resize(mirrored.astype(np.float32), None, fx=zoom, fy=zoom)[:height, :width]
     window = cv2.resize(window, (width, height)) if window.shape != (height, width) else window
     return np.asarray((window - window.mean()) / max(float(window.std()), 1.0), dtype=np.float32)
 

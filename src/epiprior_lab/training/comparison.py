@@ -133,7 +133,7 @@ def compare(model: str, data: TargetRows, params: TrainParams, store: Path) -> C
     by_scene = folds_by_scene(data.labels, data.scene, params.folds, fold_seed)
     by_row = folds_by_row(data.labels, params.folds, fold_seed)
     caps, shared = {"random-forest": params.max_forest_rows, "svm": params.max_svm_rows}, {"data": data, "seed": seed}
-    families = [family for family in FAMILIES if family in params.families]
+    families: list[str] = [family for family in FAMILIES if family in params.families]
     fits = {family: {**shared, "family": family, "max_rows": caps.get(family, params.max_rows)} for family in families}
     planned = {f: {**own, "fold": by_scene, "by_scene": True, "keep": f == exported} for f, own in fits.items()}
     planned["ungrouped"] = {**fits[exported], "fold": by_row, "by_scene": False}
@@ -142,7 +142,8 @@ def compare(model: str, data: TargetRows, params: TrainParams, store: Path) -> C
     validated = map_tasks(cross_validate, tasks, description=f"{model}: classifiers of {data.target}", store=store)
     found = dict(zip(planned, validated, strict=True))
     [final] = map_tasks(refit, [Task(name=name, payload=fits[exported])], description=last, store=store)
-    ungrouped, grouped = found["ungrouped"], {family: found[family] for family in params.families}
+    ungrouped = found["ungrouped"]
+    grouped: dict[str, CrossValidation] = {family: found[family] for family in params.families}
     return Comparison(model=model, exported=exported, data=data, grouped=grouped, ungrouped=ungrouped, refit=final)
 
 
