@@ -3,7 +3,7 @@
 import numpy as np
 
 from epiprior_lab.pairsets import Camera, Pair, reproject
-from epiprior_lab.scenes.camera_pairs import look_at
+from epiprior_lab.scenes.pairs import look_at
 from epiprior_lab.scenes.render import Light
 from epiprior_lab.scenes.world import Frame, World, WorldBuilder, box, upright
 from pictures import texture

@@ -3,12 +3,10 @@
 import numpy as np
 
 from epiprior_lab.pairsets import Camera
-from epiprior_lab.scenes import SceneError
-from epiprior_lab.scenes.camera_pairs import draw_camera_pair
 from epiprior_lab.scenes.facades import HouseStyle
-from epiprior_lab.scenes.photography import encode_jpeg, take
+from epiprior_lab.scenes.pairs import SceneError, draw_camera_pair
 from epiprior_lab.scenes.places import FACADE_TEXELS_PER_M, draw_street
-from epiprior_lab.scenes.render import draw_light, render_image
+from epiprior_lab.scenes.render import draw_light, encode_jpeg, render_image, take
 from epiprior_lab.scenes.settings import FAMILIES
 from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW
 

@@ -24,8 +24,8 @@ from epiprior_lab.evaluation.runs import HandOvers, each_run, error_px
 from epiprior_lab.evaluation.truth import TruthSettings, pair_truth
 from epiprior_lab.features.detection import detect_images
 from epiprior_lab.pairsets import Pair
-from epiprior_lab.scenes import render_doppelgangers
 from epiprior_lab.scenes.kinds import make_views
+from epiprior_lab.scenes.pairs import render_doppelgangers
 from epiprior_lab.scenes.world import Image
 
 TRUE, DOPPELGANGER, COLMAP = "pair", "doppelganger", "colmap-verification"

@@ -91,8 +91,7 @@ def voted_rows(rows: PairRows, first: Classifier, second: Classifier | None = No
     """Let the rough fundamental matrices vote; return the preset's `match_columns`, (M, C) float32, and labels.
 
     With a second classifier it judges the matches, and these are `SECOND_ROUND_COLUMNS` and labels of the best. The
-    classifiers, which give rows calibrated probabilities, were not trained on this scene: kpmd depends on them, so that
-    these rows cannot be stored as those of the first classifier are.
+    classifiers give calibrated probabilities and never saw this scene; rows that depend on them cannot be stored.
     """
     settings = find_preset(rows.preset)
     probability = first(rows.two_keypoints.select(settings.two_keypoint_columns))

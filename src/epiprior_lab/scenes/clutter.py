@@ -7,17 +7,16 @@ import numpy as np
 from numpy.random import Generator
 
 from epiprior.types import FloatArray
-from epiprior_lab.scenes.details import poster
-from epiprior_lab.scenes.materials import WallStyle, foliage, jittered, wall
-from epiprior_lab.scenes.textures import DUPLEX, PICTURES, SURFACES, Colour, crop, letters, noise, surface, tinted
-from epiprior_lab.scenes.world import BOTH_VIEWS, Frame, Image, Span, Vector, WorldBuilder, box, upright
+from epiprior_lab.scenes.details import DUPLEX, poster
+from epiprior_lab.scenes.textures import WallStyle, crop, foliage, jittered, letters, noise, surface, tinted, wall
+from epiprior_lab.scenes.world import BOTH_VIEWS, Colour, Frame, Image, Span, Vector, WorldBuilder, box, upright
 
 Placers = tuple[Callable[[WorldBuilder, Generator, Vector], None], ...]
 
 
 def random_frame(rng: Generator, position: Vector) -> Frame:
     """Return a frame at a position, turned at random."""
-    return Frame.facing(position, float(rng.uniform(0, 360)))
+    return Frame.facing(position, rng.uniform(0, 360))
 
 
 def scatter(
@@ -26,14 +25,14 @@ def scatter(
     """Add `count` random things for one view or both within `across` (along the subject) and `before` it, metres."""
     world.views = view
     for _ in range(count):
-        position = float(rng.uniform(*across)), 0.0, -float(rng.uniform(*before))
+        position = rng.uniform(*across), 0.0, -rng.uniform(*before)
         placers[int(rng.integers(len(placers)))](world, rng, position)
     world.views = BOTH_VIEWS
 
 
 def add_tree(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a trunk and a crown of crossing sheets of leaves."""
-    height, crown = float(rng.uniform(3.0, 6.5)), float(rng.uniform(1.6, 3.2))
+    height, crown = rng.uniform(3.0, 6.5), rng.uniform(1.6, 3.2)
     bark = world.texture(tinted((92, 78, 62), 0.25 * surface(rng, 256, 48, ("gravel", "tissue"), zoom=0.7)))
     frame = random_frame(rng, position)
     box(world, frame, (-0.13, 0.13), (0.0, height - 0.3 * crown), (-0.13, 0.13), textures=bark)
@@ -41,7 +40,7 @@ def add_tree(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     for k in range(7):
         sheet = random_frame(rng, frame.point(*rng.uniform(-0.22, 0.22, size=3) * crown))
         half = crown * rng.uniform(0.4, 0.55)
-        middle = height + float(rng.uniform(-0.15, 0.15)) * crown
+        middle = height + rng.uniform(-0.15, 0.15) * crown
         across, down = 2 * half * sheet.right, np.array([0.0, 2 * half, 0.0])
         down = down + rng.uniform(-0.5, 0.5) * half * sheet.outward
         world.face(sheet.point(-half, middle + half), across, down, leaves[k % 2])
@@ -50,7 +49,7 @@ def add_tree(world: WorldBuilder, rng: Generator, position: Vector) -> None:
 def add_lamp(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a lamp post, with a sign on some."""
     metal = world.texture(tinted(jittered(rng, (84, 88, 88), 0.4), 0.08 * noise(rng, 256, 16, "middle")))
-    frame, height = random_frame(rng, position), float(rng.uniform(3.0, 6.0))
+    frame, height = random_frame(rng, position), rng.uniform(3.0, 6.0)
     box(world, frame, (-0.06, 0.06), (0.0, height), (-0.06, 0.06), textures=metal)
     box(world, frame, (-0.1, 0.5), (height, height + 0.2), (-0.12, 0.12), textures=metal)
     if rng.random() < 0.6:
@@ -65,7 +64,7 @@ def add_lamp(world: WorldBuilder, rng: Generator, position: Vector) -> None:
 def add_car(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a car or a van made of boxes; wheels, lights and windows are painted on."""
     colour = jittered(rng, (130, 126, 124), 0.9)
-    frame = Frame.facing(position, float(rng.normal(0, 12)))
+    frame = Frame.facing(position, rng.normal(0, 12))
     van = rng.random() < 0.3
     length, low, high = (5.2, 1.1, 2.3) if van else (4.3, 0.78, 1.42)
     side, front = world.texture(_car_side(rng, colour)), world.texture(_car_front(rng, colour))
@@ -101,7 +100,7 @@ def _car_front(rng: Generator, colour: Colour) -> Image:
 
 
 def _car_windows(rng: Generator, colour: Colour) -> Image:
-    image = np.asarray(crop(rng, 64, 256, PICTURES) // 4 + 18, dtype=np.uint8)
+    image = np.asarray(crop(rng, 64, 256) // 4 + 18, dtype=np.uint8)
     for x in (0, 120, 248):
         image[:, x : x + 8] = colour
     image[:6] = image[-5:] = colour
@@ -111,7 +110,7 @@ def _car_windows(rng: Generator, colour: Colour) -> Image:
 def add_person(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a passer-by: a flat figure, clothed in parts of photographs."""
     image = np.zeros((192, 72, 4), dtype=np.uint8)
-    image[..., :3] = crop(rng, 192, 72, PICTURES, part=(0.3, 0.8)) // 2 + np.uint8(20)
+    image[..., :3] = crop(rng, 192, 72, part=(0.3, 0.8)) // 2 + np.uint8(20)
     image[110:, :, :3] = np.array(jittered(rng, (64, 66, 84), 0.6))
     shape = np.zeros((192, 72), dtype=np.uint8)
     cv2.ellipse(shape, (36, 18), (12, 16), 0, 0, 360, 255, -1)
@@ -120,37 +119,37 @@ def add_person(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     cv2.fillPoly(shape, [np.array([(18, 110), (54, 110), (60, 191), (44, 191), (36, 124), (26, 191), (10, 191)])], 255)
     cv2.ellipse(image, (36, 18), (12, 16), 0, 0, 360, (202, 158, 132, 255), -1)
     image[..., 3] = shape
-    frame = Frame.facing(position, float(rng.normal(0, 25)))
-    half = 0.34 * float(rng.uniform(0.9, 1.15))
+    frame = Frame.facing(position, rng.normal(0, 25))
+    half = 0.34 * rng.uniform(0.9, 1.15)
     upright(world, frame, (-half, half), (0.0, 5.3 * half), 0.0, texture=world.texture(image))
 
 
 def add_crates(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a pile of boxes with pictures on them."""
     frame = random_frame(rng, position)
-    bottom, half = 0.0, float(rng.uniform(0.35, 0.9))
+    bottom, half = 0.0, rng.uniform(0.35, 0.9)
     for _ in range(int(rng.integers(1, 4))):
-        high = float(rng.uniform(0.7, 1.5)) * half
+        high = rng.uniform(0.7, 1.5) * half
         front, sides, top = (world.texture(_crate_side(rng)) for _ in range(3))
         extent = (-half, half)
         box(world, frame, extent, (bottom, bottom + high), extent, textures=(front, sides, top))
         bottom += high
-        half *= float(rng.uniform(0.6, 0.95))
+        half *= rng.uniform(0.6, 0.95)
         frame = random_frame(rng, frame.point(*rng.uniform(-0.15, 0.15, size=2) * [half, 0]))
 
 
 def _crate_side(rng: Generator) -> Image:
     """Return one side of a box: cardboard, wood, a picture or masonry."""
     if rng.random() < 0.6:
-        return poster(rng, 176, 192) if rng.random() < 0.5 else crop(rng, 176, 192, PICTURES, part=(0.5, 1.0))
+        return poster(rng, 176, 192) if rng.random() < 0.5 else crop(rng, 176, 192, part=(0.5, 1.0))
     return wall(rng, 176, 192, WallStyle(rng, distinct=0.8), texels_per_m=120.0)
 
 
 def add_poster_board(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a board on two posts with a poster on each side."""
-    frame = Frame.facing(position, float(rng.uniform(-50, 50)))
-    wide, low = float(rng.uniform(0.8, 2.6)), float(rng.uniform(0.3, 1.0))
-    high = low + wide * float(rng.uniform(0.6, 1.2))
+    frame = Frame.facing(position, rng.uniform(-50, 50))
+    wide, low = rng.uniform(0.8, 2.6), rng.uniform(0.3, 1.0)
+    high = low + wide * rng.uniform(0.6, 1.2)
     post = world.texture(tinted((96, 92, 88), 0.1 * noise(rng, 96, 16, "middle")))
     front = world.texture(poster(rng, int(260 * (high - low) / wide) + 20, 260))
     box(world, frame, (0.0, wide), (low, high), (-0.06, 0.0), textures=(front, post, post))
@@ -162,8 +161,8 @@ def add_hedge(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a clipped hedge."""
     relief = 0.3 * surface(rng, 128, 384, ("grass", "gravel"), zoom=0.6) + 0.2 * noise(rng, 128, 384, "middle")
     leaves = world.texture(tinted(jittered(rng, (74, 96, 48), 0.25), relief))
-    frame = Frame.facing(position, float(rng.normal(0, 20)))
-    length, high = float(rng.uniform(1.5, 5)), float(rng.uniform(0.5, 1.3))
+    frame = Frame.facing(position, rng.normal(0, 20))
+    length, high = rng.uniform(1.5, 5), rng.uniform(0.5, 1.3)
     box(world, frame, (0.0, length), (0.0, high), (-0.6, 0.0), textures=leaves)
 
 
@@ -175,37 +174,32 @@ def add_fence(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     for x in range(4, 96, 24):
         image[:, x : x + int(rng.integers(5, 14))] = colour
     image[..., :3] = np.clip(image[..., :3] * (1 + 0.1 * noise(rng, 96, 96, "fine"))[..., None], 0, 255)
-    frame, length = Frame.facing(position, float(rng.normal(0, 25))), float(rng.uniform(2.5, 6.0))
+    frame, length = Frame.facing(position, rng.normal(0, 25)), rng.uniform(2.5, 6.0)
     area = (0.0, 0.0, length, 1.0)
     upright(world, frame, (0.0, length), (0.0, 1.0), 0.0, texture=world.texture(image), area=area)
 
 
 def add_rock(world: WorldBuilder, rng: Generator, position: Vector) -> None:
     """Add a rock or statue: a bumpy ball of triangles, on a pedestal at times."""
-    radius = float(rng.uniform(0.35, 0.9))
-    relief = 0.22 * surface(rng, 256, 512, SURFACES, zoom=float(rng.uniform(0.6, 1.5)))
-    relief = relief + 0.16 * noise(rng, 256, 512, "middle")
+    radius = rng.uniform(0.35, 0.9)
+    relief = 0.22 * surface(rng, 256, 512, zoom=rng.uniform(0.6, 1.5)) + 0.16 * noise(rng, 256, 512, "middle")
     texture = world.texture(tinted(jittered(rng, (148, 140, 126), 0.3), relief))
     frame, base = random_frame(rng, position), 0.0
     if rng.random() < 0.5:
-        base = float(rng.uniform(0.5, 1.4))
+        base = rng.uniform(0.5, 1.4)
         plinth = world.texture(wall(rng, 128, 160, WallStyle(rng, distinct=0.6), texels_per_m=100.0))
         square = (-0.8 * radius, 0.8 * radius)
         box(world, frame, square, (0.0, base), square, textures=plinth)
-    points = _bumpy_ball(rng, radius, stretch=float(rng.uniform(0.8, 1.8)))
+    points = _bumpy_ball(rng, radius, stretch=rng.uniform(0.8, 1.8))
     centre = frame.point(0.0, base + 0.8 * radius)
     rows, columns = points.shape[0] - 1, points.shape[1] - 1
-    for i in range(rows):
-        for j in range(columns):
-            p = points[i : i + 2, j : j + 2] + centre
-            u, v, du, dv = j / columns, i / rows, 1 / columns, 1 / rows
-            upper = np.array([[u, v], [du, 0.0], [0.0, dv]])
-            lower = np.array([[u + du, v + dv], [-du, 0.0], [0.0, -dv]])
-            for (here, right, left), part in (
-                ((p[0, 0], p[0, 1], p[1, 0]), upper),
-                ((p[1, 1], p[1, 0], p[0, 1]), lower),
-            ):
-                world.face(here, right - here, left - here, texture, texture_frame=part, triangle=True)
+    for i, j in np.ndindex(rows, columns):
+        (p00, p01), (p10, p11) = points[i : i + 2, j : j + 2] + centre
+        u, v, du, dv = j / columns, i / rows, 1 / columns, 1 / rows
+        upper = np.array([[u, v], [du, 0.0], [0.0, dv]])
+        lower = np.array([[u + du, v + dv], [-du, 0.0], [0.0, -dv]])
+        world.face(p00, p01 - p00, p10 - p00, texture, texture_frame=upper, triangle=True)
+        world.face(p11, p10 - p11, p01 - p11, texture, texture_frame=lower, triangle=True)
 
 
 def _bumpy_ball(rng: Generator, radius: float, *, stretch: float) -> FloatArray:

@@ -6,12 +6,10 @@ import cv2
 import numpy as np
 from numpy.random import Generator
 
-from epiprior_lab.scenes.details import paint_details, poster
-from epiprior_lab.scenes.materials import WallStyle, foliage, jittered, ornament, roof, wall
+from epiprior_lab.scenes.details import WindowStyle, door, draw_panes, draw_trim, paint_details, poster
 from epiprior_lab.scenes.settings import FamilySettings
-from epiprior_lab.scenes.textures import Colour, noise, tinted
-from epiprior_lab.scenes.windows import WindowStyle, door, draw_panes, draw_trim
-from epiprior_lab.scenes.world import Frame, Image, Span, WorldBuilder, box, upright
+from epiprior_lab.scenes.textures import WallStyle, foliage, jittered, noise, ornament, roof, tinted, wall
+from epiprior_lab.scenes.world import Colour, Frame, Image, Span, WorldBuilder, box, upright
 
 _CORNICE_REPEAT_M = 2.0
 Opening = tuple[float, float, float, float]
@@ -25,15 +23,15 @@ class HouseStyle:
     """
 
     def __init__(self, rng: Generator, settings: FamilySettings, texels_per_m: float) -> None:
-        distinct, variety = float(rng.uniform(*settings.distinct)), float(rng.uniform(*settings.variety))
+        distinct, variety = rng.uniform(*settings.distinct), rng.uniform(*settings.variety)
         self.wall = WallStyle(rng, distinct=distinct)
         self.window = WindowStyle(rng, self.wall.colour, variety=variety)
         gap = (1.1 if self.window.shutters else 0.45) * self.window.width_m
-        self.storey_m = self.window.height_m + float(rng.uniform(0.8, 1.4))
-        self.bay_m = self.window.width_m + gap + float(rng.uniform(0.1, 0.7))
-        self.recess_m = float(rng.uniform(0.10, 0.35))
+        self.storey_m = self.window.height_m + rng.uniform(0.8, 1.4)
+        self.bay_m = self.window.width_m + gap + rng.uniform(0.1, 0.7)
+        self.recess_m = rng.uniform(0.10, 0.35)
         self.balconies = float(rng.choice((0.0, 0.0, 0.2, 0.4, 0.7)))
-        self.cornices = bool(rng.random() < 0.6)
+        self.cornices = rng.random() < 0.6
         self.details = float(rng.uniform(0.01, 0.03) + 0.10 * distinct**1.5)
         self.texels_per_m = texels_per_m
 
@@ -147,7 +145,7 @@ def _add_relief(
         box(world, frame, (a, a + 0.11), (0.0, height), (0.02, 0.13), textures=metal)
     if width * height > 60:  # a sign
         picture = world.texture(poster(rng, 160, 120))
-        a, b = float(rng.uniform(0.1, 0.9) * width), float(rng.uniform(1.0, 3.5))
+        a, b = float(rng.uniform(0.1, 0.9) * width), rng.uniform(1.0, 3.5)
         box(world, frame, (a, a + 0.1), (b, b + 1.0), (0.15, 0.95), textures=(metal, picture, metal))
 
 
@@ -193,7 +191,7 @@ def _moulding(rng: Generator, style: HouseStyle) -> Image:
 
 
 def _add_roof(world: WorldBuilder, rng: Generator, frame: Frame, *, width: float, height: float, depth: float) -> None:
-    rise, eave = float(rng.uniform(0.15, 0.45)) * depth, 0.5
+    rise, eave = rng.uniform(0.15, 0.45) * depth, 0.5
     tiles = world.texture(roof(rng, 384, 512, texels_per_m=40.0))
     area = (0.0, 0.0, max(1.0, width / 12.0), 1.0)
     half = 0.5 * depth

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from epiprior_lab.scenes.photography import encode_jpeg, take
+from epiprior_lab.scenes.render import encode_jpeg, take
 from epiprior_lab.scenes.world import Image
 
 Views = tuple[Image, Image]
@@ -31,14 +31,11 @@ def make_views(kind: str, photographs: Views, seed: int) -> Views:
     Photographs are taken at 1024 pixels at most. Equal seeds give equal bytes.
     """
     rng = np.random.default_rng(seed)
-    first, second = (_at_most(photograph, _LONGER_SIDE) for photograph in photographs)
+    first, second = (_shrunk(image, min(1.0, _LONGER_SIDE / max(image.shape[:2]))) for image in photographs)
     return _MAKERS[kind](first, second, rng)
 
 
-def _at_most(image: Image, side: int) -> Image:
-    factor = side / max(image.shape[:2])
-    if factor >= 1:
-        return image
+def _shrunk(image: Image, factor: float) -> Image:
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -46,7 +43,7 @@ def _overlay(first: Image, second: Image, rng: np.random.Generator) -> Views:
     height, width = np.minimum(first.shape[:2], second.shape[:2]).tolist()
     form, grey = int(rng.integers(3)), _GREY[int(rng.integers(3))]
     letters = "".join(chr(65 + int(code)) for code in rng.integers(0, 26, 7))
-    size, day = float(rng.uniform(0.7, 1.3)) * width / 800, int(rng.integers(10, 31))
+    size, day = rng.uniform(0.7, 1.3) * width / 800, int(rng.integers(10, 31))
 
     def written(image: Image) -> Image:
         out = np.ascontiguousarray(image[:height, :width])
@@ -102,10 +99,9 @@ def _copy(image: Image, rng: np.random.Generator) -> Views:
     copy, height, width = image, *image.shape[:2]
     form = int(rng.integers(6))
     if form in (1, 5):
-        factor = float(rng.uniform(0.5, 0.9))
-        copy = np.asarray(cv2.resize(copy, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), np.uint8)
+        copy = _shrunk(copy, rng.uniform(0.5, 0.9))
     elif form == 2:
-        top, left = (round(float(rng.uniform(0.05, 0.3)) * side) for side in (height, width))
+        top, left = (round(rng.uniform(0.05, 0.3) * side) for side in (height, width))
         copy = copy[top : top + round(0.65 * height), left : left + round(0.65 * width)]
     if form in (3, 5):
         sides = [round(float(part) * width) for part in rng.uniform(0.02, 0.12, 4)]

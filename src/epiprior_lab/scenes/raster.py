@@ -23,8 +23,7 @@ class Faces(NamedTuple):
     """The faces of a world as one camera sees them; N of them, near ones first for speed.
 
     `world_face` (N,) are their numbers in the world; `inverse` (N, 3, 3) is inv(M); `bounds` (N, 4) are pixels (left,
-    top, right, bottom) outside which a face is not seen; `light` (N, 2) is brightness in the shade, and what the sun
-    adds.
+    top, right, bottom) outside which a face is not seen; `light` (N, 2) is brightness in the shade, and by the sun.
     """
 
     world_face: IntArray

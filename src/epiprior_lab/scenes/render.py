@@ -1,7 +1,8 @@
-"""A camera's view of a world: how it is lit, its image and its exact depth."""
+"""A camera's view of a world: how it is lit, its exact depth, its image, and what lens, sensor and file do to that."""
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,10 +42,7 @@ def render_depth(world: World, camera: Camera, *, view: int = BOTH_VIEWS) -> Flo
 
 
 def render_image(world: World, camera: Camera, light: Light, *, view: int = BOTH_VIEWS) -> Image:
-    """Return a camera's image (height, width, 3), RGB, of the faces of `view`, without effects of lens or sensor.
-
-    Shadows fall within about 30 m of the origin.
-    """
+    """Return an RGB image (height, width, 3) of the faces of `view`; shadows fall within about 30 m of the origin."""
     faces = _faces(world, camera, view, light)
     _, number = _nearest(world, camera, faces, _SAMPLES)
     to_world, sun = camera.R.T @ np.linalg.inv(camera.K), _sun_camera(light)
@@ -53,6 +51,37 @@ def render_image(world: World, camera: Camera, light: Light, *, view: int = BOTH
     image = np.empty((camera.height, camera.width, 3), dtype=np.uint8)
     raster.paint(world, faces, place, number, image)
     return image
+
+
+def take(image: Image, rng: np.random.Generator) -> Image:
+    """Return an image, shape (H, W, 3), as a camera would have delivered it."""
+    height, width = image.shape[:2]
+    warmth = rng.uniform(-0.06, 0.06)
+    exposure = rng.uniform(82, 120)  # median brightness that the camera aims at, levels of 256
+    gamma = rng.uniform(0.85, 1.2)
+    vignetting = np.float32(rng.uniform(0.0, 0.2))  # loss of brightness in the corners
+    image = np.asarray(cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 0.9)), dtype=np.uint8)
+    noise = np.float32(rng.uniform(0.6, 2.5))  # a deviation, levels of 256
+    tones = (np.arange(256) / 255.0) ** gamma * 255.0
+    middle = max(float(np.median(tones[image[::8, ::8]])), 1.0)
+    light = tones[:, None] * np.clip(exposure / middle, 0.6, 2.2) * np.array((1.0 + warmth, 1.0, 1.0 - warmth))
+    # A soft shoulder instead of clipping: skies keep their tone.
+    light = np.where(light > 220, 220 + 35 * (1 - np.exp(-(light - 220) / 35)), light)
+    table = light.astype(np.float32).reshape(256, 1, 3)
+    exposed: Float32Array = np.asarray(cv2.LUT(image, table), dtype=np.float32)
+    y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
+    x = np.linspace(-1, 1, width, dtype=np.float32)[None]
+    exposed *= (1 - vignetting * (x * x + y * y) / 2)[..., None]
+    # One grain for all channels: what a real camera leaves after demosaicing is mostly noise of brightness.
+    grains = rng.standard_normal((height, width), dtype=np.float32)
+    exposed += (noise * grains)[..., None]
+    return np.asarray(np.clip(exposed + 0.5, 0, 255).astype(np.uint8))
+
+
+def encode_jpeg(image: Image, quality: int) -> bytes:
+    """Return an RGB image as the bytes of a JPEG file of a quality in 1 to 100."""
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return data.tobytes()
 
 
 def _nearest(world: World, camera: Camera, faces: raster.Faces, samples: int) -> tuple[Float32Array, NDArray[np.int32]]:

@@ -1,7 +1,4 @@
-"""A world of textured flat faces, parallelograms and triangles, in metres.
-
-x points right, y down, z away from a viewer who stands before a facade; the ground is near y = 0.
-"""
+"""A world of textured flat faces, in metres: x right, y down, z away from a viewer before a facade; ground at y = 0."""
 
 from __future__ import annotations
 
@@ -17,6 +14,7 @@ from epiprior.types import FloatArray, IntArray
 
 Image = NDArray[np.uint8]
 Vector = FloatArray | tuple[float, float, float] | list[float]
+Colour = tuple[float, float, float]
 Span = tuple[float, float]
 Part = tuple[float, float, float, float]  # of a texture: left, top, right, bottom
 

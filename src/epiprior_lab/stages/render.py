@@ -13,8 +13,8 @@ from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import PairFiles, encode_depth, read_pair_set, write_pair_set
 from epiprior_lab.params import SPLITS, load_study, read_arguments
-from epiprior_lab.scenes import SceneError, render_pair
-from epiprior_lab.scenes.photography import encode_jpeg
+from epiprior_lab.scenes.pairs import SceneError, render_pair
+from epiprior_lab.scenes.render import encode_jpeg
 
 LEAST_RIGHT = 15  # right matches among X, of pairs that are evaluated
 _DRAWS = 20

@@ -23,8 +23,7 @@ from epiprior_lab.features.rows import read_rows, voted_rows
 from epiprior_lab.params import TrainParams
 from epiprior_lab.training.calibration import fit_platt
 from epiprior_lab.training.cross_validation import CrossValidation, cross_validate, folds_by_row, folds_by_scene
-from epiprior_lab.training.families import FAMILIES, fit
-from epiprior_lab.training.onnx_graphs import to_onnx
+from epiprior_lab.training.families import FAMILIES, fit, to_onnx
 from epiprior_lab.training.samples import Sample, TargetRows
 
 PARITY_ROWS = 2000
@@ -133,27 +132,19 @@ def compare(model: str, data: TargetRows, params: TrainParams, store: Path) -> C
     fold_seed = child_seed(seed, "folds")
     by_scene = folds_by_scene(data.labels, data.scene, params.folds, fold_seed)
     by_row = folds_by_row(data.labels, params.folds, fold_seed)
-    caps = dict.fromkeys(params.families, params.max_rows)
-    caps |= {"random-forest": params.max_forest_rows, "svm": params.max_svm_rows}
-    planned: dict[str, dict[str, Any]] = {}
-    for family in sorted(params.families, key=list(FAMILIES).index):
-        own = {"family": family, "data": data, "seed": seed, "max_rows": caps[family]}
-        planned[family] = {**own, "fold": by_scene, "by_scene": True, "keep": family == exported}
-    own = {"family": exported, "data": data, "seed": seed, "max_rows": caps[exported]}
-    planned["ungrouped"] = {**own, "fold": by_row, "by_scene": False}
-    name = f"{model}-{data.target}"
+    caps, shared = {"random-forest": params.max_forest_rows, "svm": params.max_svm_rows}, {"data": data, "seed": seed}
+    families: list[str] = [family for family in FAMILIES if family in params.families]
+    fits = {family: {**shared, "family": family, "max_rows": caps.get(family, params.max_rows)} for family in families}
+    planned = {f: {**own, "fold": by_scene, "by_scene": True, "keep": f == exported} for f, own in fits.items()}
+    planned["ungrouped"] = {**fits[exported], "fold": by_row, "by_scene": False}
+    name, last = f"{model}-{data.target}", f"{model}: {exported}"
     tasks = [Task(name=f"{name}-{key}", payload=payload) for key, payload in planned.items()]
     validated = map_tasks(cross_validate, tasks, description=f"{model}: classifiers of {data.target}", store=store)
     found = dict(zip(planned, validated, strict=True))
-    [last] = map_tasks(refit, [Task(name=name, payload=own)], description=f"{model}: {exported}", store=store)
-    return Comparison(
-        model=model,
-        exported=exported,
-        data=data,
-        grouped={family: found[family] for family in params.families},
-        ungrouped=found["ungrouped"],
-        refit=last,
-    )
+    [final] = map_tasks(refit, [Task(name=name, payload=fits[exported])], description=last, store=store)
+    ungrouped = found["ungrouped"]
+    grouped: dict[str, CrossValidation] = {family: found[family] for family in params.families}
+    return Comparison(model=model, exported=exported, data=data, grouped=grouped, ungrouped=ungrouped, refit=final)
 
 
 def refit(family: str, data: TargetRows, *, seed: int, max_rows: int) -> Refit:

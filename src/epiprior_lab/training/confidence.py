@@ -7,6 +7,7 @@ and cross-validation keeps blocks whole.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -42,10 +43,9 @@ class CaseFacts:
 
 def plan_blocks(pairs: Mapping[str, Sequence[Pair]], counts: Mapping[str, int], seed: int) -> list[KindCase]:
     """Return the cases of all blocks: the k-th pairs of all families are one, and `counts` are of each."""
-    most = max(map(len, pairs.values()))
-    blocks = [[members[k] for members in pairs.values() if k < len(members)] for k in range(most)]
     cases = []
-    for number, members in enumerate(blocks):
+    for number, row in enumerate(zip_longest(*pairs.values())):
+        members = [pair for pair in row if pair is not None]
         places, block = {pair.scene: (pair,) for pair in members}, f"{number:03d}"
         every = [KindCase(name=p.pair_id, block=block, kind=TRUE, seed=seed, pair=p) for p in members]
         own = counts if len(members) > 1 else {kind: n for kind, n in counts.items() if kind in HOMOGRAPHIES}
@@ -115,10 +115,7 @@ def _sample(found: CaseFacts, target: str, seed: int) -> Sample:
 
 
 def least_confidence(comparison: Comparison, facts: Sequence[CaseFacts], accepted: float, floor: float) -> float:
-    """Return the confidence that a share of `accepted` of the estimates on unrelated pairs exceeds, at least `floor`.
-
-    By out-of-fold probabilities, calibrated on other folds.
-    """
+    """Return the out-of-fold confidence that a share `accepted` of estimates on unrelated pairs exceeds, or `floor`."""
     found = comparison.grouped[comparison.exported].calibrated
     assert found is not None
     kinds = {one.case.name: one.case.kind for one in facts}

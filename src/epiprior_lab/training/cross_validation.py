@@ -1,7 +1,4 @@
-"""Cross-validation of a family of classifiers, grouped by scene, and the measures that families are compared by.
-
-These are rankings within pairs, and probabilities of rows.
-"""
+"""Cross-validation of a family of classifiers, and its measures: of rankings within pairs, of probabilities of rows."""
 
 import pickle
 import time
@@ -168,8 +165,7 @@ def mean_over_pairs(values: FloatArray) -> dict[str, float]:
 def precision_of_top(probability: FloatArray, labels: BoolArray, top: int = TOP) -> float:
     """Return the share of right rows among the `top` most probable, or among all if fewer; NaN for no rows.
 
-    Rows that tie for the last places count in part, as expected if ties are broken at random: a tree with few leaves
-    gains nothing from the order of the rows.
+    Rows that tie for the last places count in part: a tree with few leaves gains nothing from the order of the rows.
     """
     top = min(top, len(labels))
     if not top:

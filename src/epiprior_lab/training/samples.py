@@ -36,9 +36,8 @@ class Sample:
 class TargetRows:
     """Rows of all pairs for one target, ``two_keypoint`` or ``match``; those of a pair one after the other.
 
-    `rows`, shape (N, C), and `labels`, shape (N,), are of all pairs. For each pair under one roll hypothesis, within
-    which rows are ranked, `scenes`, `pairs`, `lengths` and `share`, shape (P,), hold its scene, name, number of rows,
-    and which share of its rows that is.
+    `rows`, shape (N, C), and `labels`, shape (N,), are of all pairs; `scenes`, `pairs`, `lengths` and `share`, shape
+    (P,), of each pair under one roll hypothesis: scene, name, number of rows, and which share of its rows that is.
     """
 
     target: str

@@ -95,10 +95,11 @@ def curves_csv(comparisons: Iterable[Comparison]) -> str:
 
 def importances_csv(comparisons: Iterable[Comparison]) -> str:
     """Return the importances of the exported classifiers."""
-    lines: list[Sequence[Any]] = []
-    for comparison in comparisons:
-        for column, value in zip(comparison.data.columns, comparison.refit.importances, strict=True):
-            lines.append((comparison.data.target, comparison.exported, column, f"{value:.6g}"))
+    lines = [
+        (comparison.data.target, comparison.exported, column, f"{value:.6g}")
+        for comparison in comparisons
+        for column, value in zip(comparison.data.columns, comparison.refit.importances, strict=True)
+    ]
     return _csv("target family column importance", lines)
 
 

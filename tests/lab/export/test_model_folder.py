@@ -7,8 +7,7 @@ import pytest
 from epiprior.presets import PAPER
 from epiprior.ranking.models import load_model
 from epiprior_lab.export.model_folder import ExportError, export_model
-from epiprior_lab.training.families import fit
-from epiprior_lab.training.onnx_graphs import to_onnx
+from epiprior_lab.training.families import fit, to_onnx
 from grouped_rows import make_rows
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,7 @@ from epiprior_lab import pairsets
 from epiprior_lab.pairsets import PairFiles, check_pair_set, known_sets, read_pair_set, transfer, transfer_distance
 from epiprior_lab.pairsets.cameras import Camera, CameraError, fundamental_from_cameras, reproject
 from epiprior_lab.pairsets.files import DatasetError, encode_depth, image_size, npz_bytes, read_depth, write_matrix
-from epiprior_lab.scenes.photography import encode_jpeg
+from epiprior_lab.scenes.render import encode_jpeg
 from worlds import CAMERAS, HEIGHT, WIDTH, camera_at, seen_by_both
 
 

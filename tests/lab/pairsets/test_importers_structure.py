@@ -18,7 +18,7 @@ from epiprior_lab.pairsets.importers.output import write_found
 from epiprior_lab.pairsets.importers.photos import find_photos
 from epiprior_lab.pairsets.importers.strecha import find_strecha, read_camera
 from epiprior_lab.pairsets.importers.structure import PairChoice
-from epiprior_lab.scenes.camera_pairs import look_at
+from epiprior_lab.scenes.pairs import look_at
 from epiprior_lab.scenes.render import render_image
 from epiprior_lab.scenes.world import Frame, WorldBuilder, box
 from pictures import save, texture

@@ -13,9 +13,10 @@ from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.labels.ground_truth import LabelSettings, control_points_from_depth, errors_px
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import Camera, encode_depth, fundamental_from_cameras, read_pair_set, reproject
-from epiprior_lab.scenes import FAMILIES, SceneError, pairs, render_pair, textures
-from epiprior_lab.scenes.camera_pairs import look_at
+from epiprior_lab.scenes import pairs, textures
+from epiprior_lab.scenes.pairs import SceneError, look_at, render_pair
 from epiprior_lab.scenes.render import Light, render_depth, render_image
+from epiprior_lab.scenes.settings import FAMILIES
 from epiprior_lab.scenes.world import FIRST_VIEW, SECOND_VIEW, Frame, WorldBuilder, upright
 from epiprior_lab.stages.render import render, render_solvable
 from worlds import HEIGHT, OVERCAST_FROM_ASIDE, WIDTH, camera_at, room

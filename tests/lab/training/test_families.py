@@ -9,8 +9,16 @@ from sklearn.svm import SVC
 from sklearn.tree import DecisionTreeClassifier
 
 from epiprior_lab.training import families
-from epiprior_lab.training.families import FAMILIES, TrainingError, fit, fit_svm, fit_tree, round_down, sample_by_class
-from epiprior_lab.training.onnx_graphs import to_onnx
+from epiprior_lab.training.families import (
+    FAMILIES,
+    TrainingError,
+    fit,
+    fit_svm,
+    fit_tree,
+    round_down,
+    sample_by_class,
+    to_onnx,
+)
 from grouped_rows import make_rows
 
 pytestmark = pytest.mark.slow

@@ -3,8 +3,7 @@ import onnx
 import onnxruntime
 import pytest
 
-from epiprior_lab.training.families import fit
-from epiprior_lab.training.onnx_graphs import to_onnx
+from epiprior_lab.training.families import fit, to_onnx
 from grouped_rows import make_rows
 
 pytestmark = pytest.mark.slow
