@@ -32,7 +32,7 @@ from epiprior_lab.report.results import PAIR, Results
 from epiprior_lab.report.style import INK, MUTED, styled
 from epiprior_lab.report.tables import SNN
 from epiprior_lab.report.text import ALL, BASELINES, OURS, input_title, share
-from epiprior_lab.scenes.photography import encode_jpeg
+from epiprior_lab.scenes.render import encode_jpeg
 from epiprior_lab.scenes.world import Image
 
 EXAMPLE_ESTIMATOR = "usac"
