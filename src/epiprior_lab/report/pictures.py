@@ -97,10 +97,10 @@ def _caption(pair: Pair) -> str:
     return "   ".join(parts) or pair.pair_id
 
 
-def rescued_pair(results: Results, group: str) -> str:
+def rescued_pair(results: Results, group: str, success_px: float) -> str:
     """Return the pair of a group that gained most: the largest difference of successes, then the smallest error."""
     before, after = (results.errors[EXAMPLE_ESTIMATOR, name] for name in (BASELINES[0], OURS))
-    gain = (after < 10).mean(axis=1) - (before < 10).mean(axis=1)
+    gain = (after < success_px).mean(axis=1) - (before < success_px).mean(axis=1)
     places = np.flatnonzero(results.masks[group])
     pair_ids = results.tables.pairs["pair_id"].to_numpy(str)
     order = np.lexsort((pair_ids[places], after.mean(axis=1)[places], -gain[places]))

@@ -26,7 +26,7 @@ def study_material(params: StudyParams, common: Material, out: Path) -> Material
     shown = {group: pairs_of(own, group) for group in own.groups}
     by_id = {(group, pair.pair_id): pair for group, pairs in shown.items() for pair in pairs}
     hard = results.hard[0]
-    example = by_id[hard, drawn.rescued_pair(results, hard)]
+    example = by_id[hard, drawn.rescued_pair(results, hard, params.report.success_px)]
     densities = {
         key[1]: (*drawn.density_of_roll(by_id[key]), true) for key, true in drawn.rolled_pairs(results).items()
     }
