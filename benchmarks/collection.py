@@ -1,25 +1,29 @@
 """A large collection: seconds per stage, memory, what retrieval finds, and whether workers change anything.
 
-    python benchmarks/collection.py data/scenes/*/facades-easy [--images 1000] [--width 640] [--compare 100]
+    python benchmarks/collection.py data/scenes/test/facades-easy [--images 1000] [--width 640] [--cluster]
 
 The photographs of pair sets are turned, cropped and relit until there are enough, so that it is known which show one
-scene. The collection is matched (`similar:20`, cascade) and a database is written. Then the first of its images are
-matched by one worker, by two, and by two of a dask cluster of which one is killed on the way, and the databases are
-compared row by row. Give the machine nothing else to do: seconds are of the clock.
+scene. The collection is matched (`similar:20`, cascade) and a database is written. With `--cluster` all is matched
+again, by two workers of a dask cluster of which one is killed on the way, and the databases are compared row by row.
+Last, the first of the images are matched by one worker and by two. Give the machine nothing else to do: seconds are of
+the clock, and of processors.
 """
 
 import argparse
 import contextlib
+import os
 import resource
 import sqlite3
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import psutil
 from distributed import LocalCluster
 
 from epiprior.collection.database import CameraSettings, infer_cameras, write_database
@@ -27,6 +31,7 @@ from epiprior.collection.run import MatchedCollection, match_collection
 from epiprior.collection.verify import judge_pairs
 from epiprior_lab.pairsets import read_pair_set
 
+Progress = Callable[[str, int, int], None]
 CONFIDENT = 0.5
 KILLED_AFTER = 0.3  # of the pairs
 
@@ -57,12 +62,19 @@ def make_images(roots: Sequence[Path], count: int, width: int, folder: Path) -> 
     return scenes
 
 
+def processor_seconds() -> float:
+    """Return what this process has used, its workers, and those that ended."""
+    living = (child.cpu_times() for child in psutil.Process().children(recursive=True))
+    return sum(os.times()[:4]) + sum(one.user + one.system for one in living)
+
+
 class Clock:
-    """Seconds from one stage to the next, by what `match_collection` reports."""
+    """Seconds of the clock and of processors from one stage to the next, by what `match_collection` reports."""
 
     def __init__(self) -> None:
-        self.last = time.perf_counter()
+        self.last, self.used = time.perf_counter(), processor_seconds()
         self.seconds: dict[str, float] = {}
+        self.processors: dict[str, float] = {}
         self.told = 0.0
 
     def __call__(self, stage: str, done: int, total: int) -> None:
@@ -78,8 +90,9 @@ class Clock:
 
     def stop(self, stage: str) -> None:
         """End a stage."""
-        now = time.perf_counter()
+        now, used = time.perf_counter(), processor_seconds()
         self.seconds[stage], self.last = now - self.last, now
+        self.processors[stage], self.used = used - self.used, used
 
 
 def rows(database: Path) -> list[str]:
@@ -88,9 +101,9 @@ def rows(database: Path) -> list[str]:
         return list(opened.iterdump())
 
 
-def match(images: Path | Sequence[Path], out: Path, clock: Clock, **how: object) -> MatchedCollection:
+def match(images: Path | Sequence[Path], out: Path, progress: Progress, clock: Clock, **how: Any) -> MatchedCollection:
     """Match a collection and write its database, `out` with the suffix .db."""
-    matched = match_collection(images, pairs="similar:20", work=out, on_progress=clock, **how)  # type: ignore[arg-type]
+    matched = match_collection(images, pairs="similar:20", work=out, on_progress=progress, **how)
     write_database(
         out.with_suffix(".db"), judge_pairs(matched, CONFIDENT), infer_cameras(matched.images, CameraSettings())
     )
@@ -111,27 +124,15 @@ def tell(matched: MatchedCollection, scenes: dict[str, str], clock: Clock) -> No
     others = len(same) - sum(same)
     print(f"  of {others} pairs of two scenes {sum(c and not s for s, c in zip(same, sure, strict=True))} do")
     for stage, seconds in clock.seconds.items():
-        print(f"  {stage:10s} {seconds:8.1f} s")
+        print(f"  {stage:10s} {seconds:8.1f} s, {clock.processors[stage]:8.1f} s of processors")
     own, worker = (
         resource.getrusage(who).ru_maxrss / 2**20 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
     print(f"  peak memory: the command {own:.2f} GiB, the largest worker {worker:.2f} GiB")
 
 
-def compare(images: Sequence[Path], out: Path) -> None:
-    """Print seconds and whether the rows are the same: one worker, two, and a cluster that loses a worker."""
-    seconds, held = {}, {}
-    for workers in (1, 2):
-        clock = Clock()
-        match(images, out / f"by-{workers}", clock, workers=workers)
-        seconds[workers], held[workers] = clock.seconds, rows(out / f"by-{workers}.db")
-        print(
-            f"  {len(images)} images, {workers} workers: "
-            + ", ".join(f"{k} {v:.1f} s" for k, v in clock.seconds.items())
-        )
-    one, two = (sum(seconds[workers][stage] for stage in ("features", "pairs")) for workers in (1, 2))
-    same = held[1] == held[2]
-    print(f"  features and pairs by two workers {one / two:.2f} times as fast as by one; same rows: {same}")
+def survive(images: Path | Sequence[Path], out: Path, expected: list[str]) -> None:
+    """Match all on a dask cluster of two, one of them killed on the way, and print whether the rows are the same."""
     with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         victim = next(iter(cluster.workers.values()))
         clock, done = Clock(), threading.Event()
@@ -142,11 +143,23 @@ def compare(images: Sequence[Path], out: Path) -> None:
                 done.set()
                 victim.process.process.kill()
 
-        matched = match_collection(
-            images, pairs="similar:20", work=out / "cluster", on_progress=progress, scheduler=cluster.scheduler_address
-        )
-    write_database(out / "cluster.db", judge_pairs(matched, CONFIDENT), infer_cameras(matched.images, CameraSettings()))
-    print(f"  a cluster of two, one of them killed: same rows: {rows(out / 'cluster.db') == held[1]}")
+        match(images, out / "cluster", progress, clock, scheduler=cluster.scheduler_address)
+    told = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in clock.seconds.items())
+    print(f"  a cluster of two, one of them killed: {told}; same rows: {rows(out / 'cluster.db') == expected}")
+
+
+def compare(images: Sequence[Path], out: Path) -> None:
+    """Print seconds by one worker and by two, and whether the rows are the same."""
+    seconds, held = {}, {}
+    for workers in (1, 2):
+        clock = Clock()
+        match(images, out / f"by-{workers}", clock, clock, workers=workers)
+        seconds[workers], held[workers] = clock.seconds, rows(out / f"by-{workers}.db")
+        told = ", ".join(f"{stage} {taken:.1f} s" for stage, taken in clock.seconds.items())
+        print(f"  {len(images)} images, workers {workers}: {told}")
+    one, two = (sum(seconds[workers][stage] for stage in ("features", "pairs")) for workers in (1, 2))
+    same = held[1] == held[2]
+    print(f"  features and pairs by two workers {one / two:.2f} times as fast as by one; same rows: {same}")
 
 
 def main() -> None:
@@ -155,7 +168,8 @@ def main() -> None:
     parser.add_argument("sets", nargs="+", type=Path, help="folders with a pairs.csv")
     parser.add_argument("--images", type=int, default=1000)
     parser.add_argument("--width", type=int, default=640, help="of every image, pixels")
-    parser.add_argument("--compare", type=int, default=100, help="so many of them by one worker, two and a cluster")
+    parser.add_argument("--compare", type=int, default=40, help="so many of them by one worker and by two; 0: none")
+    parser.add_argument("--cluster", action="store_true", help="all again on a dask cluster that loses a worker")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, help="a new folder that is kept; default: a temporary one")
     asked = parser.parse_args()
@@ -164,13 +178,14 @@ def main() -> None:
 
 
 def run(asked: argparse.Namespace, out: Path) -> None:
-    """Make the images below `out`, match them, compare."""
-    scenes = make_images(asked.sets, asked.images, asked.width, out / "images")
-    if asked.images > asked.compare:
-        clock = Clock()
-        tell(match(out / "images", out / "all", clock, workers=asked.workers), scenes, clock)
+    """Make the images below `out`, match them by processes and by a cluster, compare."""
+    images, clock = out / "images", Clock()
+    scenes = make_images(asked.sets, asked.images, asked.width, images)
+    tell(match(images, out / "all", clock, clock, workers=asked.workers), scenes, clock)
+    if asked.cluster:
+        survive(images, out, rows(out / "all.db"))
     if asked.compare:
-        compare(sorted((out / "images").iterdir())[: asked.compare], out)
+        compare(sorted(images.iterdir())[: asked.compare], out)
 
 
 if __name__ == "__main__":
