@@ -17,6 +17,7 @@ import sqlite3
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -114,15 +115,18 @@ def match(images: Path | Sequence[Path], out: Path, progress: Progress, clock: C
 def tell(matched: MatchedCollection, scenes: dict[str, str], clock: Clock) -> None:
     """Print what was found, and what it cost."""
     names = [image.name for image in matched.images.images]
-    same = [scenes[names[a]] == scenes[names[b]] for a, b in matched.pairs]
-    sure = [pair.confidence >= CONFIDENT for pair in matched]
     sizes = np.unique([scenes[name] for name in names], return_counts=True)[1]
     shown = int((sizes * (sizes - 1) // 2).sum())
-    print(f"  {len(names)} images of {len(sizes)} scenes, {len(same)} pairs of {len(names) * (len(names) - 1) // 2}")
-    print(f"  of {shown} pairs of one scene {sum(same) / shown:.1%} are chosen,")
-    print(f"  of these {sum(s and c for s, c in zip(same, sure, strict=True)) / sum(same):.1%} get a geometry;")
-    others = len(same) - sum(same)
-    print(f"  of {others} pairs of two scenes {sum(c and not s for s, c in zip(same, sure, strict=True))} do")
+    same = sum(scenes[names[a]] == scenes[names[b]] for a, b in matched.pairs)
+    print(f"  {len(names)} images of {len(sizes)} scenes, {len(matched)} pairs of {len(names) * (len(names) - 1) // 2}")
+    print(f"  of {shown} pairs of one scene {same / max(shown, 1):.1%} are chosen, and {len(matched) - same} of two scenes")
+    kinds = Counter(
+        (pair.geometry or "none", scenes[pair.image1] == scenes[pair.image2])
+        for pair in matched
+        if pair.confidence >= CONFIDENT
+    )
+    for (geometry, of_one), count in sorted(kinds.items()):
+        print(f"  {count} pairs of {'one scene' if of_one else 'two scenes'} are {geometry}")
     for stage, seconds in clock.seconds.items():
         print(f"  {stage:10s} {seconds:8.1f} s, {clock.processors[stage]:8.1f} s of processors")
     own, worker = (
