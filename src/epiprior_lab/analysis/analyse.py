@@ -28,9 +28,10 @@ from epiprior_lab.evaluation.inputs import PairMatches
 from epiprior_lab.evaluation.records import Record
 from epiprior_lab.evaluation.runs import HandOvers, estimates
 from epiprior_lab.features.detection import detect_pair
-from epiprior_lab.labels.ground_truth import LabelSettings, errors_px, label_matches
+from epiprior_lab.labels.ground_truth import errors_px, label_matches
 from epiprior_lab.measures import average_precision, precision_at
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import TruthParams
 
 _BOTH = ("final", "sfm")  # by the model's probabilities; without a model
 
@@ -124,7 +125,7 @@ class Bench:
 
 
 def analyse_pair(
-    *, pair: Pair, group: str, complete: bool, settings: AnalysisSettings, hand_overs: HandOvers, labels: LabelSettings
+    *, pair: Pair, group: str, complete: bool, settings: AnalysisSettings, hand_overs: HandOvers, labels: TruthParams
 ) -> list[Record]:
     """Compare the variants on one pair with control points, and cameras or depths by which matches are labelled.
 
@@ -266,7 +267,7 @@ def analyse_pairs(
     complete: Collection[str],
     settings: AnalysisSettings,
     hand_overs: HandOvers,
-    labels: LabelSettings,
+    labels: TruthParams,
     files: Sequence[Path] = (),
     workers: int = 1,
     store: Path | None = None,

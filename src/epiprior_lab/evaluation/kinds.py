@@ -21,9 +21,10 @@ from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.inputs import FIRST, PREPROCESSED, PairMatches, match_detected
 from epiprior_lab.evaluation.records import CASCADE, KindRecord
 from epiprior_lab.evaluation.runs import HandOvers, each_run, error_px
-from epiprior_lab.evaluation.truth import TruthSettings, pair_truth
+from epiprior_lab.evaluation.truth import pair_truth
 from epiprior_lab.features.detection import detect_images
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import TruthParams
 from epiprior_lab.scenes.kinds import make_views
 from epiprior_lab.scenes.pairs import render_doppelgangers
 from epiprior_lab.scenes.world import Image
@@ -131,7 +132,7 @@ def case_records(
     group: str,
     inputs: Mapping[str, Sequence[str]],
     hand_overs: HandOvers,
-    truth: TruthSettings,
+    truth: TruthParams,
     rule: CascadeRule,
     cascaded: Sequence[str],
 ) -> list[KindRecord]:

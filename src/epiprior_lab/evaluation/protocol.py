@@ -9,9 +9,9 @@ from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.presets import PRESETS, find_preset
 from epiprior_lab.evaluation.learned import LEARNED
 from epiprior_lab.evaluation.runs import EstimatorInputs, HandOvers
-from epiprior_lab.evaluation.truth import TruthSettings
+from epiprior_lab.labels.ground_truth import TRUTH
 from epiprior_lab.pairsets import Pair, read_pair_set
-from epiprior_lab.params import EvaluateParams, MeasureParams, Params
+from epiprior_lab.params import EvaluateParams, MeasureParams, Params, TruthParams
 
 MODELS = Path("models")
 PEERS = Path("data/peers")
@@ -31,7 +31,7 @@ class Protocol:
     inputs: EstimatorInputs
     seeds: tuple[int, ...]
     hand_overs: HandOvers
-    truth: TruthSettings = field(default_factory=TruthSettings)
+    truth: TruthParams = TRUTH
     measures: MeasureParams = field(default_factory=lambda: MeasureParams(seed=16, distance_points=1000))
     peers: Path | None = None
 
@@ -60,7 +60,7 @@ def make_protocol(params: Params) -> Protocol:
             estimator: {name: HandOver() if name in whole else chosen[estimator][_chosen(name)] for name in names}
             for estimator, names in evaluate.inputs_and_peers.items()
         },
-        truth=TruthSettings.of(params.truth),
+        truth=params.truth,
         measures=params.measures,
         peers=PEERS,
     )

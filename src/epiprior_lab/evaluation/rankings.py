@@ -16,10 +16,11 @@ from epiprior.matching.pair import expected_roll, orientation_differences
 from epiprior.types import BoolArray, IntArray, MatchSet
 from epiprior_lab.evaluation.inputs import PRESETS, MatchFiles
 from epiprior_lab.evaluation.records import RANKS, CalibrationRecord, PairRecord, RankingRecord, Record
-from epiprior_lab.evaluation.truth import TruthSettings, pair_truth, true_roll_deg
+from epiprior_lab.evaluation.truth import pair_truth, true_roll_deg
 from epiprior_lab.labels.ground_truth import label_matches
 from epiprior_lab.measures import average_precision, calibration_bins, right_among_first
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import TruthParams
 
 _TOP = 100
 
@@ -53,7 +54,7 @@ def walked(matches: MatchSet, order: IntArray) -> IntArray:
     return np.asarray(order[one_to_one_mask(matches.feature1[order], matches.feature2[order])])
 
 
-def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSettings) -> list[Record]:
+def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthParams) -> list[Record]:
     """Return the records of a pair, its rankings and their calibration; the last two only for a labelled pair.
 
     `matches` are those of all inputs; without ``standard`` the difficulty stays unknown.

@@ -14,10 +14,10 @@ from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.distances import pose_errors, symmetric_distance
 from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches
 from epiprior_lab.evaluation.records import RunRecord
-from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
+from epiprior_lab.evaluation.truth import Truth, pair_truth
 from epiprior_lab.labels.ground_truth import errors_px
 from epiprior_lab.pairsets import Pair
-from epiprior_lab.params import MeasureParams
+from epiprior_lab.params import MeasureParams, TruthParams
 
 EstimatorInputs = Mapping[str, Sequence[str]]
 HandOvers = Mapping[str, Mapping[str, HandOver]]  # by estimator, then by input
@@ -100,7 +100,7 @@ def run_pair(
     seeds: Sequence[int],
     hand_overs: Mapping[str, HandOver],
     group: str,
-    truth: TruthSettings,
+    truth: TruthParams,
     measures: MeasureParams,
 ) -> list[RunRecord]:
     """Return one record per input and seed of one estimator; parameters as for `estimates` and `run_record`."""

@@ -20,7 +20,8 @@ from epiprior_lab.evaluation import inputs, runs
 from epiprior_lab.evaluation.evaluate import evaluate
 from epiprior_lab.evaluation.protocol import Protocol, make_protocol, pairs_of
 from epiprior_lab.evaluation.records import Tables
-from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
+from epiprior_lab.evaluation.truth import Truth, pair_truth
+from epiprior_lab.labels.ground_truth import TRUTH
 from epiprior_lab.pairsets import fundamental_from_cameras
 from epiprior_lab.params import MeasureParams, load_params
 from synthetic import make_pair
@@ -141,7 +142,7 @@ def test_thresholds_of_large_images_are_meant_at_working_size(pairs, tmp_path):
     assert matches.pixel_factors == pytest.approx((factor, factor))
     how = {"estimator": "usac", "seeds": (0,), "hand_overs": {"snn": HandOver(threshold_px=1.0)}}
     [(_, _, found)] = runs.estimates(matches, "p", **how)
-    truth = pair_truth(pairs[0], TruthSettings())
+    truth = pair_truth(pairs[0], TRUTH)
     assert runs.error_px(found, replace(truth, x1=3 * truth.x1 + 1, x2=3 * truth.x2 + 1)) < 2
     [(_, _, strict)] = runs.estimates(replace(matches, pixel_factors=(1.0, 1.0)), "p", **how)
     assert strict.support < found.support  # a pixel of the large image is less than a working pixel

@@ -1,12 +1,14 @@
 """Rankings of a pair against its truth: one list, walked one-to-one, of the most probable roll hypothesis."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from epiprior.rank import rank_matches
 from epiprior_lab.evaluation import inputs, rankings
 from epiprior_lab.evaluation.records import RANKINGS, CalibrationRecord, PairRecord, RankingRecord, Tables
-from epiprior_lab.evaluation.truth import TruthSettings
+from epiprior_lab.labels.ground_truth import TRUTH
 from synthetic import make_matches
 
 
@@ -39,7 +41,7 @@ def test_orders_are_walked_one_to_one_and_the_hypothesis_with_the_most_probable_
 
 def test_records_of_a_pair_with_and_without_labels(pairs, tiny_model, tmp_path):
     [files] = inputs.store_matches(pairs[:1], ("standard", "snn", "generalized", "default"), tmp_path)
-    found = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=TruthSettings())
+    found = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=TRUTH)
     assert [type(record) for record in found[:2]] == [PairRecord, RankingRecord]
     tables = Tables.from_records(found)
     (about,) = tables.pairs.to_dict("records")
@@ -51,7 +53,7 @@ def test_records_of_a_pair_with_and_without_labels(pairs, tiny_model, tmp_path):
     assert abs((about["expected_roll_deg"] + 180) % 360 - 180) < 5
 
     def right(matches):  # the true lines are the rows
-        return np.abs(matches.x1[:, 1] - matches.x2[:, 1]) < np.sqrt(2) * TruthSettings().epipolar_px
+        return np.abs(matches.x1[:, 1] - matches.x2[:, 1]) < np.sqrt(2) * TRUTH.epipolar_px
 
     assert about["right_share"] == pytest.approx(right(files.read().sets["standard"][0]).mean(), abs=0.01)
     table = tables.rankings.set_index(["input", "ranking"])
@@ -67,7 +69,7 @@ def test_records_of_a_pair_with_and_without_labels(pairs, tiny_model, tmp_path):
     assert (bins["input"] == "default").all()
     assert (bins["bin"].tolist(), bins["count"].sum()) == (list(range(20)), len(ranked))
     assert bins["probability"].sum() == pytest.approx(ranked.probability.sum())
-    settings = TruthSettings(one_plane=("relief-0",))  # which leaves no labels
+    settings = replace(TRUTH, one_plane=("relief-0",))  # which leaves no labels
     files = files.only(("standard",))
     (about,) = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=settings)
     assert (about.labels, about.difficulty) == ("", "")

@@ -10,7 +10,7 @@ import yaml
 from epiprior.errors import FeatureError
 from epiprior_lab import pairsets
 from epiprior_lab.labels import ground_truth
-from epiprior_lab.labels.ground_truth import LabelSettings, errors_px, label_matches, reference_fundamental
+from epiprior_lab.labels.ground_truth import TRUTH, errors_px, label_matches, reference_fundamental
 from epiprior_lab.pairsets import DatasetError, depth_at, encode_depth, read_pair_set, reproject, view_difference
 from epiprior_lab.scenes.render import render_depth
 from epiprior_lab.stages import ground_truth as stage
@@ -41,7 +41,7 @@ def points(depths):
 
 def label(pair, x1, x2, sigma=2.0, **settings):
     scale = np.full(len(x1), sigma)
-    return label_matches(pair, x1, x2, scale, scale, settings=LabelSettings(**settings))
+    return label_matches(pair, x1, x2, scale, scale, settings=dataclasses.replace(TRUTH, **settings))
 
 
 def test_true_matches_are_right_and_moved_ones_wrong_but_for_large_features(pair, points):
