@@ -268,13 +268,12 @@ def analyse_pairs(
     settings: AnalysisSettings,
     hand_overs: HandOvers,
     labels: TruthParams,
-    files: Sequence[Path] = (),
-    workers: int = 1,
-    store: Path | None = None,
+    files: Sequence[Path],
+    store: Path,
 ) -> Analysis:
     """Analyse the pairs of all groups in parallel, those in `complete` completely; a run that was killed continues.
 
-    `files` determine every result beside the pair's own images: the model files. `workers` and `store` are as for
+    `files` determine every result beside the pair's own images: the model files. `store` is as for
     `epiprior_lab.compute.tasks.map_tasks`.
     """
     names = (settings.estimator, settings.beyond, *settings.others)
@@ -284,5 +283,5 @@ def analyse_pairs(
         for pair in pairs:
             payload = {"pair": pair, "group": group, "complete": group in complete, **common}
             tasks.append(Task(name=f"{group} {pair.pair_id}", payload=payload, files=(*pair.files, *files)))
-    found = map_tasks(analyse_pair, tasks, workers=workers, description="analyse", store=store)
+    found = map_tasks(analyse_pair, tasks, description="analyse", store=store)
     return Analysis.from_records(record for records in found for record in records)

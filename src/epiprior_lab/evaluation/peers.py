@@ -97,8 +97,7 @@ def write_peer_matches(
     script: Path = SCRIPT,
     learned_script: Path = learned.SCRIPT,
     files: Sequence[Path] = (REQUIREMENTS, WEIGHTS),
-    workers: int = 1,
-    store: Path | None = None,
+    store: Path,
 ) -> None:
     """Write the matches of every peer and pair as ``out/PEER/PAIR_ID.npz``; a killed run continues.
 
@@ -109,7 +108,7 @@ def write_peer_matches(
     if not peers:
         return
     python = interpreter(environment)
-    how: dict[str, Any] = {"workers": workers, "store": store, "description": f"peers of {out.name}"}
+    how: dict[str, Any] = {"store": store, "description": f"peers of {out.name}"}
     rankers = tuple(name for name in peers if name not in LEARNED)
     if rankers:
         tasks = []

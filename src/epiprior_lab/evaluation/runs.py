@@ -1,6 +1,7 @@
 """Runs of estimators on the inputs of a pair, and how far each is from the truth. The loop over both is here alone."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.distances import pose_errors, symmetric_distance
-from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches
+from epiprior_lab.evaluation.inputs import PairMatches, read_matches
 from epiprior_lab.evaluation.records import RunRecord
 from epiprior_lab.evaluation.truth import Truth, pair_truth
 from epiprior_lab.labels.ground_truth import errors_px
@@ -95,7 +96,7 @@ def run_record(
 def run_pair(
     *,
     pair: Pair,
-    matches: MatchFiles,
+    matches: Mapping[str, Path],
     estimator: str,
     seeds: Sequence[int],
     hand_overs: Mapping[str, HandOver],
@@ -103,8 +104,8 @@ def run_pair(
     truth: TruthParams,
     measures: MeasureParams,
 ) -> list[RunRecord]:
-    """Return one record per input and seed of one estimator; parameters as for `estimates` and `run_record`."""
-    read, known = matches.read(), pair_truth(pair, truth)
+    """Return one record per input and seed of one estimator; the files of their `matches` are by input."""
+    read, known = read_matches(matches), pair_truth(pair, truth)
     limits = {name: how.threshold_px * max(read.pixel_factors) for name, how in hand_overs.items()}
     key = {"group": group, "estimator": estimator}
     found = estimates(read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs)

@@ -37,11 +37,13 @@ PRESETS = {
 
 
 @pytest.fixture(scope="module")
-def analysed(pairs, model):
+def analysed(pairs, model, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("EPIPRIOR_WORKERS", "1")
         patch.setattr(analysis, "load_model", lambda name: model)
         patch.setattr(analysis, "find_preset", PRESETS.__getitem__)
-        common = {"settings": SETTINGS, "hand_overs": load_hand_overs(None), "labels": TRUTH}
+        common = {"settings": SETTINGS, "hand_overs": load_hand_overs(None), "labels": TRUTH, "files": ()}
+        common["store"] = tmp_path_factory.mktemp("store")
         return analysis.analyse_pairs({"relief": pairs, "easy": pairs[1:]}, complete=("relief",), **common)
 
 

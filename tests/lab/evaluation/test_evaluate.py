@@ -32,7 +32,8 @@ SEEDS = (0, 1)
 
 
 @pytest.fixture
-def protocol(relief, tiny_model):
+def protocol(relief, tiny_model, monkeypatch):
+    monkeypatch.setenv("EPIPRIOR_WORKERS", "1")
     chosen = load_hand_overs(None)
     hand_overs = {e: {n: chosen[e].get(n, HandOver()) for n in names} for e, names in INPUTS.items()}
     return Protocol(inputs=INPUTS, seeds=SEEDS, hand_overs=hand_overs, peers=relief.parent / "peers")

@@ -66,7 +66,7 @@ def environment(tmp_path):
 
 def test_peers_run_in_an_environment_of_their_own(pairs, environment, tmp_path):
     (tmp_path / "match.py").write_text(SCRIPT)
-    settings = {"environment": environment, "script": tmp_path / "match.py", "files": ()}
+    settings = {"environment": environment, "script": tmp_path / "match.py", "files": (), "store": tmp_path / "store"}
     write_peer_matches(pairs[:1], (), tmp_path / "none", **settings)
     assert list((tmp_path / "none").iterdir()) == []
     write_peer_matches(pairs[:1], ("a", "b"), tmp_path / "out", **settings)
