@@ -28,7 +28,7 @@ from epiprior_lab.evaluation.inputs import PairMatches
 from epiprior_lab.evaluation.records import Record
 from epiprior_lab.evaluation.runs import HandOvers, estimates
 from epiprior_lab.features.detection import detect_pair
-from epiprior_lab.labels.ground_truth import errors_px, label_matches
+from epiprior_lab.labels.ground_truth import error_px, label_matches
 from epiprior_lab.measures import average_precision, precision_at
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import TruthParams
@@ -92,7 +92,7 @@ class Bench:
 
     def error_px(self, F: FloatArray | None) -> float:
         """Return the mean Sampson distance of the control points, the paper's measure; NaN without F."""
-        return float("nan") if F is None else float(errors_px(F, *self.points).mean())
+        return error_px(F, *self.points)
 
     def _record(
         self, experiment: str, variant: str, ranking: str, estimator: str, seed: int, F: FloatArray | None, status: str

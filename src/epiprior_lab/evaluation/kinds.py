@@ -20,9 +20,10 @@ from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.inputs import FIRST, PREPROCESSED, PairMatches, match_detected
 from epiprior_lab.evaluation.records import CASCADE, KindRecord
-from epiprior_lab.evaluation.runs import HandOvers, each_run, error_px
+from epiprior_lab.evaluation.runs import HandOvers, each_run
 from epiprior_lab.evaluation.truth import pair_truth
 from epiprior_lab.features.detection import detect_images
+from epiprior_lab.labels.ground_truth import error_px
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import TruthParams
 from epiprior_lab.scenes.kinds import make_views
@@ -159,7 +160,7 @@ def case_records(
             confidence=one.confidence,
             support=one.support,
             matches=len(one.x1),
-            error_px=float("nan") if known is None else error_px(one, known) / unit,
+            error_px=float("nan") if known is None else error_px(one.F, known.x1, known.x2) / unit,
         )
         for estimator, name, one in found
     ]

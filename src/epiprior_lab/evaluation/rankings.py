@@ -19,7 +19,7 @@ from epiprior_lab.evaluation.inputs import PRESETS, read_matches
 from epiprior_lab.evaluation.records import RANKS, CalibrationRecord, PairRecord, RankingRecord, Record
 from epiprior_lab.evaluation.truth import pair_truth, true_roll_deg
 from epiprior_lab.labels.ground_truth import label_matches
-from epiprior_lab.measures import average_precision, calibration_bins, right_among_first
+from epiprior_lab.measures import average_precision, calibration_bins
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import TruthParams
 
@@ -85,7 +85,7 @@ def pair_records(*, pair: Pair, matches: Mapping[str, Path], group: str, truth: 
                     matches=len(hits),
                     right=int(np.count_nonzero(hits)),
                     average_precision=average_precision(hits),
-                    right_at=tuple(int(n) for n in right_among_first(hits, np.array(RANKS))),
+                    right_at=tuple(int(np.count_nonzero(hits[:rank])) for rank in RANKS),
                 )
             )
         if name in PRESETS:

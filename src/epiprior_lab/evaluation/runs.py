@@ -16,7 +16,6 @@ from epiprior_lab.evaluation.distances import pose_errors, symmetric_distance
 from epiprior_lab.evaluation.inputs import PairMatches, read_matches
 from epiprior_lab.evaluation.records import RunRecord
 from epiprior_lab.evaluation.truth import Truth, pair_truth
-from epiprior_lab.labels.ground_truth import errors_px
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import MeasureParams, TruthParams
 
@@ -54,11 +53,6 @@ def estimates(
     return each_run(estimate_from_matches, matches, pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs)
 
 
-def error_px(estimate: FundamentalEstimate, truth: Truth) -> float:
-    """Return the paper's error of F, whatever its status: the mean Sampson distance of the points; NaN without F."""
-    return float("nan") if estimate.F is None else float(errors_px(estimate.F, truth.x1, truth.x2).mean())
-
-
 def run_record(
     estimate: FundamentalEstimate, pair: Pair, truth: Truth, measures: MeasureParams, *, threshold_px: float, **key: Any
 ) -> RunRecord:
@@ -71,7 +65,7 @@ def run_record(
     names = ("error_px", "median_error_px", "distance", "rotation_deg", "translation_deg")
     measured: dict[str, Any] = dict.fromkeys(names, np.nan)
     if F is not None:
-        errors = errors_px(F, truth.x1, truth.x2)
+        errors = sampson_distance(F, truth.x1, truth.x2)
         measured |= {"error_px": float(errors.mean()), "median_error_px": float(np.median(errors))}
         if truth.F is not None:
             child = child_seed(measures.seed, pair.pair_id)

@@ -15,9 +15,10 @@ from epiprior_lab.evaluation import inputs
 from epiprior_lab.evaluation.learned import SCRIPT, time_learned
 from epiprior_lab.evaluation.protocol import Protocol, as_shipped
 from epiprior_lab.evaluation.records import CASCADE, TimingRecord
-from epiprior_lab.evaluation.runs import error_px, estimates
+from epiprior_lab.evaluation.runs import estimates
 from epiprior_lab.evaluation.truth import pair_truth
 from epiprior_lab.features.detection import detect_pair
+from epiprior_lab.labels.ground_truth import error_px
 from epiprior_lab.pairsets import Pair
 
 Seconds = Mapping[str, float]
@@ -61,14 +62,13 @@ def time_learned_pairs(
     seeds: Sequence[int],
     python: Path,
     threads: int,
-    script: Path = SCRIPT,
 ) -> list[TimingRecord]:
     """Time a learned matcher on pairs, each with its group, and the estimators on what it finds.
 
     It runs in the interpreter `python` with so many `threads`, one process for all pairs; seconds are measured in it.
     """
     images = [(pair.image1, pair.image2) for _, pair in pairs]
-    matched, seconds = time_learned(images=images, peer=peer, python=python, script=script, threads=threads)
+    matched, seconds = time_learned(images=images, peer=peer, python=python, script=SCRIPT, threads=threads)
     records = []
     for (group, pair), columns, (features, matching) in zip(pairs, matched, seconds, strict=True):
         photographs = [load_photograph(path) for path in (pair.image1, pair.image2)]
@@ -102,7 +102,7 @@ def _time_estimators(
                 seconds_estimator=running,
                 seconds_total=sum(before.values()) + running,
                 preprocessed=name in inputs.PRESETS,
-                error_px=error_px(estimate, truth),
+                error_px=error_px(estimate.F, truth.x1, truth.x2),
             )
             yield record, estimate
 

@@ -145,9 +145,9 @@ def fit_to_points(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
     return normalise_fundamental(np.linalg.inv(T2).T @ at(found.x) @ np.linalg.inv(T1))
 
 
-def errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
-    """Return the Sampson distance of each control point, shape (N,), pixels; the paper's error is its mean."""
-    return sampson_distance(F, x1, x2)
+def error_px(F: FloatArray | None, x1: FloatArray, x2: FloatArray) -> float:
+    """Return the paper's error of F: the mean Sampson distance of control points (N, 2), pixels; NaN without F."""
+    return float("nan") if F is None else float(sampson_distance(F, x1, x2).mean())
 
 
 def control_points_from_depth(cameras: Cameras, depths: DepthMaps, *, count: int, seed: int) -> _PerImage:

@@ -22,7 +22,7 @@ from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.inputs import PairMatches, read_matches, store_matches
 from epiprior_lab.evaluation.runs import EstimatorInputs, each_run
 from epiprior_lab.evaluation.statistics import area_under_success_curve
-from epiprior_lab.labels.ground_truth import errors_px
+from epiprior_lab.labels.ground_truth import error_px
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import HandOverParams
 
@@ -114,8 +114,7 @@ def candidate_errors(
         same = _effect(read, name, how)
         if same not in found:
             runs = each_run(solve, read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs={name: how})
-            matrices = [solution.F for _, _, solution in runs]
-            found[same] = [np.nan if F is None else float(errors_px(F, *points).mean()) for F in matrices]
+            found[same] = [error_px(solution.F, *points) for _, _, solution in runs]
         errors.append(found[same])
     return np.array(errors, np.float64)
 

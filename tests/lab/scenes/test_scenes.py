@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from epiprior.errors import SettingsError
+from epiprior.geometry import sampson_distance
 from epiprior_lab import pairsets
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.compute.tasks import Task, map_tasks
-from epiprior_lab.labels.ground_truth import TRUTH, control_points_from_depth, errors_px
+from epiprior_lab.labels.ground_truth import TRUTH, control_points_from_depth
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import Camera, encode_depth, fundamental_from_cameras, read_pair_set, reproject
 from epiprior_lab.scenes import pairs, textures
@@ -150,7 +151,7 @@ def test_pairs_keep_the_bounds_of_their_family_and_have_the_detail_of_photograph
     cameras, depths = pair.cameras, pair.depths
     x1, x2 = control_points_from_depth(cameras, depths, count=100, seed=0)
     assert len(x1) == 100
-    assert errors_px(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-6
+    assert sampson_distance(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-6
     seen = pairsets.view_difference(cameras, depths, step=2)
     # Bounds were checked on depth maps of an eighth of the size.
     assert settings.angle_deg[0] - 2 <= seen.angle_deg <= settings.angle_deg[1] + 2

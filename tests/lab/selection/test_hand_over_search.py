@@ -41,7 +41,7 @@ def search(monkeypatch):
         "map_tasks": lambda function, tasks, **_: [function(**task.payload) for task in tasks],
         "store_matches": lambda pairs, names, *_, **__: [dict.fromkeys(names, Path()) for _ in pairs],
         "read_matches": lambda files: inputs.PairMatches(sets=dict.fromkeys(files, sets), pixel_factors=(1.0, 1.0)),
-        "errors_px": lambda F, *points: np.array([F]),
+        "error_px": lambda F, *points: np.nan if F is None else F,
         "_effect": lambda matches, name, how: how,
     }.items():
         monkeypatch.setattr(hand_over_search, name, fake)
