@@ -25,8 +25,7 @@ def evaluate(
     `group`, the name of the set, leads every row. `files` decide every pair beside its own images: the model files.
     `store` is as for `epiprior_lab.compute.tasks.map_tasks`, and keeps the matches as well.
     """
-    peers = None if protocol.peers is None else protocol.peers / group
-    how: dict[str, Any] = {"peers": peers, "files": files, "description": f"match {group}"}
+    how: dict[str, Any] = {"peers": protocol.peers / group, "files": files, "description": f"match {group}"}
     matched = store_matches(pairs, protocol.all_inputs, store / "matches", **how)
     tasks = []
     for pair, matches in zip(pairs, matched, strict=True):

@@ -31,9 +31,7 @@ from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.features.detection import DetectedPair, detect_images, detect_pair
 from epiprior_lab.pairsets import DatasetError, Pair
 
-BASELINES = ("standard", "snn", "generalized", "paper-standard")
 PRESETS = ("paper", "fast", "default", "thorough")
-INPUTS = BASELINES + PRESETS
 FIRST = "snn"  # what a cascade tries first,
 PREPROCESSED = "default"  # and what it goes on to
 
@@ -43,6 +41,7 @@ _MAKERS: Mapping[str, Callable[..., MatchSet]] = {
     "generalized": generalized_matches,
     "paper-standard": standard_matches,
 }
+INPUTS = (*_MAKERS, *PRESETS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,13 +74,12 @@ def match_detected(found: DetectedPair, inputs: Sequence[str]) -> PairMatches:
         settings = detection_of(name)
         if settings not in of_settings:
             of_settings[settings] = detect_images(*found.photographs, settings)
-        (photo1, photo2), (features1, features2) = of_settings[settings].photographs, of_settings[settings].features
-        features[name] = len(features1), len(features2)
+        views, (first, second) = of_settings[settings].photographs, of_settings[settings].features
+        features[name] = len(first), len(second)
         if name in _MAKERS:
-            sets[name] = (_MAKERS[name](photo1, photo2, features1=features1, features2=features2),)
+            sets[name] = (_MAKERS[name](*views, features1=first, features2=second),)
         else:
-            ranked = rank_matches(photo1, photo2, preset=name, features1=features1, features2=features2)
-            sets[name] = ranked.sets
+            sets[name] = rank_matches(*views, preset=name, features1=first, features2=second).sets
     return PairMatches(sets=sets, features=features, pixel_factors=found.pixel_factors)
 
 

@@ -33,7 +33,7 @@ class Protocol:
     hand_overs: HandOvers
     truth: TruthParams = TRUTH
     measures: MeasureParams = field(default_factory=lambda: MeasureParams(seed=16, distance_points=1000))
-    peers: Path | None = None
+    peers: Path = PEERS
 
     @property
     def all_inputs(self) -> tuple[str, ...]:
@@ -48,21 +48,18 @@ def make_protocol(params: Params) -> Protocol:
     SettingsError if an estimator is to get learned matches that it cannot use.
     """
     evaluate, chosen = params.evaluate, load_hand_overs(MODELS / "hand_over.json")
+    inputs = evaluate.inputs_and_peers
     whole = {*(evaluate.whole or ()), *(evaluate.peers or ())}
-    for estimator, names in evaluate.inputs_and_peers.items():
+    for estimator, names in inputs.items():
         unusable = [name for name in names if name in LEARNED]
         if estimator in _NEED_FEATURES and unusable:
             raise SettingsError(f"{estimator} cannot use the matches of {unusable[0]}: see evaluate.peer_estimators")
+    hand_overs = {
+        estimator: {name: HandOver() if name in whole else chosen[estimator][_chosen(name)] for name in names}
+        for estimator, names in inputs.items()
+    }
     return Protocol(
-        inputs=evaluate.inputs_and_peers,
-        seeds=evaluate.seeds,
-        hand_overs={
-            estimator: {name: HandOver() if name in whole else chosen[estimator][_chosen(name)] for name in names}
-            for estimator, names in evaluate.inputs_and_peers.items()
-        },
-        truth=params.truth,
-        measures=params.measures,
-        peers=PEERS,
+        inputs=inputs, seeds=evaluate.seeds, hand_overs=hand_overs, truth=params.truth, measures=params.measures
     )
 
 

@@ -53,6 +53,12 @@ def estimates(
     return each_run(estimate_from_matches, matches, pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs)
 
 
+def said(estimate: FundamentalEstimate) -> dict[str, Any]:
+    """Return the columns that `RunRecord` and `KindRecord` share: what an estimate says of itself."""
+    own = {name: getattr(estimate, name) for name in ("support", "confidence")}
+    return own | {name: str(getattr(estimate, name)) for name in ("status", "geometry")} | {"matches": len(estimate.x1)}
+
+
 def run_record(
     estimate: FundamentalEstimate, pair: Pair, truth: Truth, measures: MeasureParams, *, threshold_px: float, **key: Any
 ) -> RunRecord:
@@ -77,13 +83,11 @@ def run_record(
             measured["rotation_deg"], measured["translation_deg"] = errors_deg
     return RunRecord(
         **key,
-        **{name: getattr(estimate, name) for name in ("support", "confidence", "iterations")},
+        **said(estimate),
         **measured,
         pair_id=pair.pair_id,
         scene=pair.scene,
-        status=str(estimate.status),
-        geometry=str(estimate.geometry),
-        matches=len(estimate.x1),
+        iterations=estimate.iterations,
     )
 
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from epiprior.features.images import load_photograph
 from epiprior.types import FundamentalEstimate
@@ -87,24 +88,15 @@ def _time_estimators(
 ) -> Iterator[tuple[TimingRecord, FundamentalEstimate]]:
     """Run every estimator that gets the one input of `matches`; the seconds `before` it are given by column."""
     (name,), truth = matches.sets, pair_truth(pair, protocol.truth)
+    key: dict[str, Any] = {"group": group, "pair_id": pair.pair_id, "scene": pair.scene, "input": name, **before}
+    key["preprocessed"] = name in inputs.PRESETS
     for estimator in (e for e, names in protocol.inputs.items() if name in names):
         how = protocol.hand_overs[estimator]
         for _, seed, estimate in estimates(matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
             running = sum(estimate.seconds.values())
-            record = TimingRecord(
-                group=group,
-                pair_id=pair.pair_id,
-                scene=pair.scene,
-                estimator=estimator,
-                input=name,
-                seed=seed,
-                **before,
-                seconds_estimator=running,
-                seconds_total=sum(before.values()) + running,
-                preprocessed=name in inputs.PRESETS,
-                error_px=error_px(estimate.F, truth.x1, truth.x2),
-            )
-            yield record, estimate
+            own = key | {"seconds_estimator": running, "seconds_total": sum(before.values()) + running}
+            error = error_px(estimate.F, truth.x1, truth.x2)
+            yield TimingRecord(**own, estimator=estimator, seed=seed, error_px=error), estimate
 
 
 def _cascade(

@@ -12,7 +12,7 @@ def main() -> None:
     arguments = read_arguments(main.__doc__, params=PHOTOGRAPHS, group=None)
     own, group = load_params(arguments.params).evaluate, str(arguments.group)
     store = Path("data/.tasks/peers") / group
-    write_peer_matches(pairs_of(own, group), own.peers or (), PEERS / group, store=store)
+    write_peer_matches(pairs_of(own, group), own.peers or (), PEERS / group, store)
 
 
 if __name__ == "__main__":
