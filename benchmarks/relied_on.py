@@ -19,7 +19,6 @@ from epiprior.collection.store import MatchedPair
 from epiprior.collection.verify import CONTRADICTS, judge_pairs
 from epiprior_lab.bags.methods import true_camera
 from epiprior_lab.evaluation.distances import pose_errors
-from epiprior_lab.evaluation.truth import TruthSettings
 from epiprior_lab.labels.ground_truth import label_matches
 from epiprior_lab.pairsets import Pair, read_pair_set
 from epiprior_lab.params import load_study
@@ -45,7 +44,7 @@ def count_matches(pair: Pair, matched: MatchedCollection, places: tuple[int, int
     """Count the right matches of a simple F."""
     f1, f2 = (matched.features(place) for place in places)
     rows1, rows2 = found.matches.T
-    truth = TruthSettings.of(load_study().truth)
+    truth = load_study().truth
     xy = f1.xy[rows1].astype(float), f2.xy[rows2].astype(float)
     right = label_matches(pair, *xy, f1.scale[rows1], f2.scale[rows2], settings=truth)
     own = len(right) - found.guided

@@ -21,18 +21,6 @@ def average_precision(right: BoolArray) -> float:
     return float((np.arange(1, len(hits) + 1) / (hits + 1)).mean())
 
 
-def log_ranks(limit: int, per_decade: int = 12) -> IntArray:
-    """Return increasing, different ranks from 1 to `limit`, `per_decade` (before rounding) per factor of ten."""
-    exponents = np.arange(int(np.floor(np.log10(limit) * per_decade)) + 1) / per_decade
-    return np.unique(np.append(np.rint(10**exponents).astype(np.int64), limit))
-
-
-def right_among_first(right: BoolArray, ranks: IntArray) -> IntArray:
-    """Return the number of right matches among the first ``ranks[i]``, for each i."""
-    total = np.concatenate([[0], np.cumsum(right, dtype=np.int64)])
-    return np.asarray(total[np.minimum(ranks, len(right))])
-
-
 @dataclass(frozen=True, kw_only=True)
 class CalibrationBins:
     """Sums over equal bins of probability, shape (B,), which add up over pairs; errors are from 1 (right) or 0."""

@@ -6,6 +6,7 @@ in the same way, and raises pydantic's ``ValidationError``, a ``ValueError``.
 
 import argparse
 import json
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
@@ -115,7 +116,14 @@ class EvaluateParams:
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class TruthParams:
-    """When a match counts as right, when a pair decides an F, and what makes a pair easy or hard."""
+    """When a match counts as right, when a pair decides an F, and what makes a pair easy or hard.
+
+    A reprojection error is allowed up to the larger of `tolerance_px` and `tolerance_sigma` times the feature's sigma,
+    since large features are located less well; a point is visible where depths differ relatively by less than
+    `depth_tolerance`. Without depth, Sampson distances are up to `epipolar_px`. Control points within `plane_px` of one
+    homography lie on one plane, and so do those of the pairs in `one_plane`. More than `easy_share` of X_L is right:
+    easy; less than `hard_share`: hard.
+    """
 
     tolerance_px: Pixels
     tolerance_sigma: Annotated[float, Field(ge=0, le=10)]
@@ -129,6 +137,14 @@ class TruthParams:
     def __post_init__(self) -> None:
         if self.hard_share > self.easy_share:
             raise ValueError(f"hard_share = {self.hard_share}: above easy_share = {self.easy_share}")
+
+    def difficulty(self, right_share: float) -> str:
+        """Return how hard a pair is by the share of right matches in X_L; empty where it is NaN."""
+        if math.isnan(right_share):
+            return ""
+        if right_share > self.easy_share:
+            return "easy"
+        return "hard" if right_share < self.hard_share else "medium"
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -28,9 +28,10 @@ from epiprior_lab.evaluation.inputs import PairMatches
 from epiprior_lab.evaluation.records import Record
 from epiprior_lab.evaluation.runs import HandOvers, estimates
 from epiprior_lab.features.detection import detect_pair
-from epiprior_lab.labels.ground_truth import LabelSettings, errors_px, label_matches
+from epiprior_lab.labels.ground_truth import error_px, label_matches
 from epiprior_lab.measures import average_precision, precision_at
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import TruthParams
 
 _BOTH = ("final", "sfm")  # by the model's probabilities; without a model
 
@@ -91,7 +92,7 @@ class Bench:
 
     def error_px(self, F: FloatArray | None) -> float:
         """Return the mean Sampson distance of the control points, the paper's measure; NaN without F."""
-        return float("nan") if F is None else float(errors_px(F, *self.points).mean())
+        return error_px(F, *self.points)
 
     def _record(
         self, experiment: str, variant: str, ranking: str, estimator: str, seed: int, F: FloatArray | None, status: str
@@ -124,7 +125,7 @@ class Bench:
 
 
 def analyse_pair(
-    *, pair: Pair, group: str, complete: bool, settings: AnalysisSettings, hand_overs: HandOvers, labels: LabelSettings
+    *, pair: Pair, group: str, complete: bool, settings: AnalysisSettings, hand_overs: HandOvers, labels: TruthParams
 ) -> list[Record]:
     """Compare the variants on one pair with control points, and cameras or depths by which matches are labelled.
 
@@ -266,14 +267,13 @@ def analyse_pairs(
     complete: Collection[str],
     settings: AnalysisSettings,
     hand_overs: HandOvers,
-    labels: LabelSettings,
-    files: Sequence[Path] = (),
-    workers: int = 1,
-    store: Path | None = None,
+    labels: TruthParams,
+    files: Sequence[Path],
+    store: Path,
 ) -> Analysis:
     """Analyse the pairs of all groups in parallel, those in `complete` completely; a run that was killed continues.
 
-    `files` determine every result beside the pair's own images: the model files. `workers` and `store` are as for
+    `files` determine every result beside the pair's own images: the model files. `store` is as for
     `epiprior_lab.compute.tasks.map_tasks`.
     """
     names = (settings.estimator, settings.beyond, *settings.others)
@@ -283,5 +283,5 @@ def analyse_pairs(
         for pair in pairs:
             payload = {"pair": pair, "group": group, "complete": group in complete, **common}
             tasks.append(Task(name=f"{group} {pair.pair_id}", payload=payload, files=(*pair.files, *files)))
-    found = map_tasks(analyse_pair, tasks, workers=workers, description="analyse", store=store)
+    found = map_tasks(analyse_pair, tasks, description="analyse", store=store)
     return Analysis.from_records(record for records in found for record in records)

@@ -4,12 +4,12 @@ Matches are made once per pair and kept in files, then rankings are labelled and
 Each pair, and each pair and estimator, is a task of its own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from epiprior_lab.compute.tasks import Task, map_tasks
-from epiprior_lab.evaluation.inputs import MatchFiles, match_folder, store_matches
+from epiprior_lab.evaluation.inputs import store_matches
 from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.rankings import pair_records
 from epiprior_lab.evaluation.records import RunRecord, Tables
@@ -18,48 +18,39 @@ from epiprior_lab.pairsets import Pair
 
 
 def evaluate(
-    pairs: Sequence[Pair],
-    protocol: Protocol,
-    *,
-    group: str,
-    workers: int = 1,
-    store: Path | None = None,
-    files: Sequence[Path] = (),
+    pairs: Sequence[Pair], protocol: Protocol, *, group: str, store: Path, files: Sequence[Path] = ()
 ) -> Tables:
     """Evaluate the pairs of one set, each with ground truth, in parallel; a run that was killed continues.
 
     `group`, the name of the set, leads every row. `files` decide every pair beside its own images: the model files.
-    `workers` and `store` are as for `epiprior_lab.compute.tasks.map_tasks`.
+    `store` is as for `epiprior_lab.compute.tasks.map_tasks`, and keeps the matches as well.
     """
-    with match_folder(store) as folder:
-        peers, asked = None if protocol.peers is None else protocol.peers / group, protocol.all_inputs
-        matched = store_matches(
-            pairs, asked, folder, peers=peers, files=files, workers=workers, description=f"match {group}"
-        )
-        tasks = []
-        for pair, matches in zip(pairs, matched, strict=True):
-            payload = {"pair": pair, "matches": matches, "group": group, "truth": protocol.truth}
-            tasks.append(Task(name=pair.pair_id, payload=payload, files=(*pair.files, *matches.paths.values())))
-        described = map_tasks(pair_records, tasks, workers=workers, description=f"rankings of {group}", store=store)
-        runs = run_pairs(pairs, matched, protocol, group=group, workers=workers, store=store)
+    how: dict[str, Any] = {"peers": protocol.peers / group, "files": files, "description": f"match {group}"}
+    matched = store_matches(pairs, protocol.all_inputs, store / "matches", **how)
+    tasks = []
+    for pair, matches in zip(pairs, matched, strict=True):
+        payload = {"pair": pair, "matches": matches, "group": group, "truth": protocol.truth}
+        tasks.append(Task(name=pair.pair_id, payload=payload, files=(*pair.files, *matches.values())))
+    described = map_tasks(pair_records, tasks, description=f"rankings of {group}", store=store)
+    runs = run_pairs(pairs, matched, protocol, group=group, store=store)
     return Tables.from_records([*(record for records in described for record in records), *runs])
 
 
 def run_pairs(
-    pairs: Sequence[Pair], matched: Sequence[MatchFiles], protocol: Protocol, *, group: str, **how: Any
+    pairs: Sequence[Pair], matched: Sequence[Mapping[str, Path]], protocol: Protocol, *, group: str, store: Path
 ) -> list[RunRecord]:
     """Run every estimator on its inputs of every pair in parallel: one task per pair and estimator.
 
-    `pairs` and `matched` are in one order; `how` is as for `epiprior_lab.compute.tasks.map_tasks`.
+    `pairs` and `matched` are in one order; `store` is as for `epiprior_lab.compute.tasks.map_tasks`.
     """
     common = {"group": group, "seeds": protocol.seeds, "truth": protocol.truth, "measures": protocol.measures}
     tasks = []
     for pair, matches in zip(pairs, matched, strict=True):
         for estimator, names in protocol.inputs.items():
-            needed = matches.only(names)
+            needed = {name: matches[name] for name in names}
             hand_overs = {name: protocol.hand_overs[estimator][name] for name in names}
             own = {"pair": pair, "matches": needed, "estimator": estimator, "hand_overs": hand_overs}
-            files = (*pair.files, *needed.paths.values())
+            files = (*pair.files, *needed.values())
             tasks.append(Task(name=f"{pair.pair_id} {estimator}", payload=own | common, files=files))
-    found = map_tasks(run_pair, tasks, description=f"estimate {group}", **how)
+    found = map_tasks(run_pair, tasks, description=f"estimate {group}", store=store)
     return [record for records in found for record in records]

@@ -7,7 +7,6 @@ from epiprior.errors import SettingsError
 from epiprior.estimators.handover import FILE, HandOver, load_hand_overs
 from epiprior.ranking.models import find_model
 from epiprior.settings_file import find_settings_file
-from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.evaluate import evaluate
 from epiprior_lab.evaluation.protocol import Protocol
 from epiprior_lab.evaluation.records import Tables
@@ -24,7 +23,7 @@ def evaluate_folder(
     estimators: Sequence[str] = (ESTIMATOR,),
     seeds: int = 3,
     out: Path = Path("data/own-evaluation"),
-    store: Path | None = Path("data/.tasks/own"),
+    store: Path = Path("data/.tasks/own"),
 ) -> Tables:
     """Evaluate pair sets, and write the tables of `evaluate` to the folder `out`.
 
@@ -44,11 +43,9 @@ def evaluate_folder(
     protocol = Protocol(inputs=inputs, seeds=tuple(range(seeds)), hand_overs=hand_overs)
     model = sorted(path for path in find_model("default").iterdir() if path.is_file())
     found = find_settings_file(FILE)
-    files, workers = (*model, *(() if found is None else (found,))), default_workers()
-    parts = []
-    for root in find_sets(folder, sets):
-        pairs, kept = read_pair_set(root).pairs, None if store is None else store / root.name
-        parts.append(evaluate(pairs, protocol, group=root.name, workers=workers, store=kept, files=files))
+    files = (*model, *(() if found is None else (found,)))
+    sets_of = {root.name: read_pair_set(root).pairs for root in find_sets(folder, sets)}
+    parts = [evaluate(pairs, protocol, group=g, store=store / g, files=files) for g, pairs in sets_of.items()]
     tables = Tables.join(parts)
     tables.write(out)
     return tables

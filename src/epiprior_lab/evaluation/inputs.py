@@ -13,13 +13,9 @@
 Matches are kept in files, one per pair and input. This module imports no estimator: stored matches outlive changes.
 """
 
-from __future__ import annotations
-
 import pickle
-import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -35,9 +31,7 @@ from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.features.detection import DetectedPair, detect_images, detect_pair
 from epiprior_lab.pairsets import DatasetError, Pair
 
-BASELINES = ("standard", "snn", "generalized", "paper-standard")
 PRESETS = ("paper", "fast", "default", "thorough")
-INPUTS = BASELINES + PRESETS
 FIRST = "snn"  # what a cascade tries first,
 PREPROCESSED = "default"  # and what it goes on to
 
@@ -47,6 +41,7 @@ _MAKERS: Mapping[str, Callable[..., MatchSet]] = {
     "generalized": generalized_matches,
     "paper-standard": standard_matches,
 }
+INPUTS = (*_MAKERS, *PRESETS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,13 +74,12 @@ def match_detected(found: DetectedPair, inputs: Sequence[str]) -> PairMatches:
         settings = detection_of(name)
         if settings not in of_settings:
             of_settings[settings] = detect_images(*found.photographs, settings)
-        (photo1, photo2), (features1, features2) = of_settings[settings].photographs, of_settings[settings].features
-        features[name] = len(features1), len(features2)
+        views, (first, second) = of_settings[settings].photographs, of_settings[settings].features
+        features[name] = len(first), len(second)
         if name in _MAKERS:
-            sets[name] = (_MAKERS[name](photo1, photo2, features1=features1, features2=features2),)
+            sets[name] = (_MAKERS[name](*views, features1=first, features2=second),)
         else:
-            ranked = rank_matches(photo1, photo2, preset=name, features1=features1, features2=features2)
-            sets[name] = ranked.sets
+            sets[name] = rank_matches(*views, preset=name, features1=first, features2=second).sets
     return PairMatches(sets=sets, features=features, pixel_factors=found.pixel_factors)
 
 
@@ -95,25 +89,6 @@ def detection_of(name: str) -> FeatureSettings:
     return replace(find_preset(preset).features, root=True, centred=True)
 
 
-@dataclass(frozen=True, kw_only=True)
-class MatchFiles:
-    """Where the matches of one pair are kept: `paths` holds a file per input, the rest is as in `PairMatches`."""
-
-    paths: dict[str, Path]
-    features: dict[str, tuple[int, int]]
-    pixel_factors: tuple[float, float]
-
-    def only(self, inputs: Sequence[str]) -> MatchFiles:
-        """Return the files of some inputs."""
-        features = {name: self.features[name] for name in inputs}
-        return replace(self, paths={name: self.paths[name] for name in inputs}, features=features)
-
-    def read(self) -> PairMatches:
-        """Return the matches."""
-        sets = {name: pickle.loads(path.read_bytes()) for name, path in self.paths.items()}
-        return PairMatches(sets=sets, features=self.features, pixel_factors=self.pixel_factors)
-
-
 def store_matches(
     pairs: Sequence[Pair],
     inputs: Sequence[str],
@@ -121,10 +96,9 @@ def store_matches(
     *,
     peers: Path | None = None,
     files: Sequence[Path] = (),
-    workers: int = 1,
     description: str = "match",
-) -> list[MatchFiles]:
-    """Match pairs in parallel and keep their matches in files in `folder`; a killed run continues.
+) -> list[dict[str, Path]]:
+    """Match pairs in parallel; return for each pair the files in `folder`, by input; a killed run continues.
 
     `inputs`, at least one, are names out of `INPUTS` or of peers, whose folder is `peers`. `files` decide the matches
     beside the pairs' own images: the model files. DatasetError if the folder or a file in it is missing or damaged.
@@ -136,9 +110,8 @@ def store_matches(
     tasks = [
         Task(name=pair.pair_id, payload={"pair": pair, "inputs": own}, files=(*pair.files, *files)) for pair in pairs
     ]
-    matched = map_tasks(match_pair, tasks, workers=workers, description=description, store=folder)
     kept = []
-    for pair, matches in zip(pairs, matched, strict=True):
+    for pair, matches in zip(pairs, map_tasks(match_pair, tasks, description=description, store=folder), strict=True):
         sets, features = dict(matches.sets), dict(matches.features)
         sizes = next(iter(sets.values()))[0].image_sizes
         for name in others:
@@ -147,19 +120,18 @@ def store_matches(
             features[name] = counts or next(iter(matches.features.values()))
         paths = {name: folder / f"{pair.pair_id}.{name}.matches" for name in inputs}
         for name, path in paths.items():
-            path.write_bytes(pickle.dumps(sets[name], protocol=5))
-        kept.append(MatchFiles(paths=paths, features=features, pixel_factors=matches.pixel_factors))
+            one = replace(matches, sets={name: sets[name]}, features={name: features[name]})
+            path.write_bytes(pickle.dumps(one, protocol=5))
+        kept.append(paths)
     return kept
 
 
-@contextmanager
-def match_folder(store: Path | None) -> Iterator[Path]:
-    """Yield a folder for matches: beside the stored results, or for this run alone."""
-    if store is not None:
-        yield store / "matches"
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        yield Path(folder)
+def read_matches(paths: Mapping[str, Path]) -> PairMatches:
+    """Return the matches of one pair that `store_matches` kept, by input."""
+    read: list[PairMatches] = [pickle.loads(path.read_bytes()) for path in paths.values()]
+    sets = {name: sets for one in read for name, sets in one.sets.items()}
+    features = {name: counts for one in read for name, counts in one.features.items()}
+    return replace(read[0], sets=sets, features=features)
 
 
 def model_files(models: Path, inputs: Sequence[str]) -> tuple[Path, ...]:

@@ -6,9 +6,9 @@ pairs have the kind ``pair``; the others are made of their images by code, see `
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -20,10 +20,12 @@ from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.inputs import FIRST, PREPROCESSED, PairMatches, match_detected
 from epiprior_lab.evaluation.records import CASCADE, KindRecord
-from epiprior_lab.evaluation.runs import HandOvers, each_run, error_px
-from epiprior_lab.evaluation.truth import TruthSettings, pair_truth
+from epiprior_lab.evaluation.runs import HandOvers, each_run, said
+from epiprior_lab.evaluation.truth import pair_truth
 from epiprior_lab.features.detection import detect_images
+from epiprior_lab.labels.ground_truth import error_px
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import TruthParams
 from epiprior_lab.scenes.kinds import make_views
 from epiprior_lab.scenes.pairs import render_doppelgangers
 from epiprior_lab.scenes.world import Image
@@ -118,9 +120,8 @@ def case_runs(
     matches = match_detected(detect_images(*case_images(case)), asked)
     found = []
     for estimator, names in inputs.items():
-        own = PairMatches(sets={name: matches.sets[name] for name in names}, pixel_factors=matches.pixel_factors)
-        how = {name: hand_overs[estimator][name] for name in names}
-        runs = each_run(run, own, case.name, estimator=estimator, seeds=(0,), hand_overs=how)
+        own = replace(matches, sets={name: matches.sets[name] for name in names})
+        runs = each_run(run, own, case.name, estimator=estimator, seeds=(0,), hand_overs=hand_overs[estimator])
         found += [(estimator, name, outcome) for name, _, outcome in runs]
     return matches, found
 
@@ -131,7 +132,7 @@ def case_records(
     group: str,
     inputs: Mapping[str, Sequence[str]],
     hand_overs: HandOvers,
-    truth: TruthSettings,
+    truth: TruthParams,
     rule: CascadeRule,
     cascaded: Sequence[str],
 ) -> list[KindRecord]:
@@ -147,18 +148,14 @@ def case_records(
         found.append((COLMAP, "snn", _colmap(matches.sets["snn"][0], case.seed)))
     # Errors are meant at working size; control points are given pixels.
     unit = max(matches.pixel_factors)
-    about = {"group": group, "pair_id": case.name, "scene": case.block, "kind": case.kind}
+    about: dict[str, Any] = {"group": group, "pair_id": case.name, "scene": case.block, "kind": case.kind}
     return [
         KindRecord(
             **about,
             estimator=estimator,
             input=name,
-            status=str(one.status),
-            geometry=str(one.geometry),
-            confidence=one.confidence,
-            support=one.support,
-            matches=len(one.x1),
-            error_px=float("nan") if known is None else error_px(one, known) / unit,
+            **said(one),
+            error_px=float("nan") if known is None else error_px(one.F, known.x1, known.x2) / unit,
         )
         for estimator, name, one in found
     ]

@@ -80,43 +80,32 @@ def _columns(path: Path, features1: Features, features2: Features) -> Columns:
     return columns
 
 
-def interpreter(environment: Path = ENVIRONMENT) -> Path:
+def interpreter() -> Path:
     """Return the interpreter of the peers' environment; SettingsError if there is none."""
-    python = environment / "bin" / "python"
+    python = ENVIRONMENT / "bin" / "python"
     if not python.is_file():
-        raise SettingsError(f"no environment {environment}: run `make peers`, or set `peers: null` to do without them")
+        raise SettingsError(f"no environment {ENVIRONMENT}: run `make peers`, or set `peers: null` to do without them")
     return python
 
 
-def write_peer_matches(
-    pairs: Sequence[Pair],
-    peers: Sequence[str],
-    out: Path,
-    *,
-    environment: Path = ENVIRONMENT,
-    script: Path = SCRIPT,
-    learned_script: Path = learned.SCRIPT,
-    files: Sequence[Path] = (REQUIREMENTS, WEIGHTS),
-    workers: int = 1,
-    store: Path | None = None,
-) -> None:
+def write_peer_matches(pairs: Sequence[Pair], peers: Sequence[str], out: Path, store: Path) -> None:
     """Write the matches of every peer and pair as ``out/PEER/PAIR_ID.npz``; a killed run continues.
 
-    Without peers the folder stays empty. Scripts run in `environment`, where the peers are installed (SettingsError if
-    it is absent); `files` are what else decides the matches. Those of `LEARNED` find own features, others get ours.
+    Without peers the folder stays empty. Scripts run in `ENVIRONMENT`, where the peers are installed (SettingsError if
+    it is absent). Those of `LEARNED` find own features, others get ours.
     """
     out.mkdir(parents=True, exist_ok=True)
     if not peers:
         return
-    python = interpreter(environment)
-    how: dict[str, Any] = {"workers": workers, "store": store, "description": f"peers of {out.name}"}
+    python, files = interpreter(), (REQUIREMENTS, WEIGHTS)
+    how: dict[str, Any] = {"store": store, "description": f"peers of {out.name}"}
     rankers = tuple(name for name in peers if name not in LEARNED)
     if rankers:
         tasks = []
         for name, part in _parts(pairs, _PAIRS_PER_TASK):
-            payload = {"pairs": part, "peers": rankers, "python": python, "script": script}
+            payload = {"pairs": part, "peers": rankers, "python": python, "script": SCRIPT}
             own = (file for pair in part for file in pair.files)
-            tasks.append(Task(name=name, payload=payload, files=(*own, script, *files)))
+            tasks.append(Task(name=name, payload=payload, files=(*own, SCRIPT, *files)))
         ranked = [found for part in map_tasks(match_by_peers, tasks, **how) for found in part]
         for k, peer in enumerate(rankers):
             _write(out / peer, pairs, [found[k] for found in ranked])
@@ -124,9 +113,9 @@ def write_peer_matches(
         tasks = []
         for name, part in _parts(pairs, _LEARNED_PAIRS_PER_TASK):
             images = tuple((pair.image1, pair.image2) for pair in part)
-            payload = {"images": images, "peer": peer, "python": python, "script": learned_script}
+            payload = {"images": images, "peer": peer, "python": python, "script": learned.SCRIPT}
             own = (file for both in images for file in both)
-            tasks.append(Task(name=f"{peer}: {name}", payload=payload, files=(*own, learned_script, *files)))
+            tasks.append(Task(name=f"{peer}: {name}", payload=payload, files=(*own, learned.SCRIPT, *files)))
         matched = map_tasks(match_learned, tasks, versions=False, **how)
         _write(out / peer, pairs, [found for part in matched for found in part])
 

@@ -9,9 +9,9 @@ from epiprior.estimators.handover import HandOver, load_hand_overs
 from epiprior.presets import PRESETS, find_preset
 from epiprior_lab.evaluation.learned import LEARNED
 from epiprior_lab.evaluation.runs import EstimatorInputs, HandOvers
-from epiprior_lab.evaluation.truth import TruthSettings
+from epiprior_lab.labels.ground_truth import TRUTH
 from epiprior_lab.pairsets import Pair, read_pair_set
-from epiprior_lab.params import EvaluateParams, MeasureParams, Params
+from epiprior_lab.params import EvaluateParams, MeasureParams, Params, TruthParams
 
 MODELS = Path("models")
 PEERS = Path("data/peers")
@@ -31,9 +31,9 @@ class Protocol:
     inputs: EstimatorInputs
     seeds: tuple[int, ...]
     hand_overs: HandOvers
-    truth: TruthSettings = field(default_factory=TruthSettings)
+    truth: TruthParams = TRUTH
     measures: MeasureParams = field(default_factory=lambda: MeasureParams(seed=16, distance_points=1000))
-    peers: Path | None = None
+    peers: Path = PEERS
 
     @property
     def all_inputs(self) -> tuple[str, ...]:
@@ -48,21 +48,18 @@ def make_protocol(params: Params) -> Protocol:
     SettingsError if an estimator is to get learned matches that it cannot use.
     """
     evaluate, chosen = params.evaluate, load_hand_overs(MODELS / "hand_over.json")
+    inputs = evaluate.inputs_and_peers
     whole = {*(evaluate.whole or ()), *(evaluate.peers or ())}
-    for estimator, names in evaluate.inputs_and_peers.items():
+    for estimator, names in inputs.items():
         unusable = [name for name in names if name in LEARNED]
         if estimator in _NEED_FEATURES and unusable:
             raise SettingsError(f"{estimator} cannot use the matches of {unusable[0]}: see evaluate.peer_estimators")
+    hand_overs = {
+        estimator: {name: HandOver() if name in whole else chosen[estimator][_chosen(name)] for name in names}
+        for estimator, names in inputs.items()
+    }
     return Protocol(
-        inputs=evaluate.inputs_and_peers,
-        seeds=evaluate.seeds,
-        hand_overs={
-            estimator: {name: HandOver() if name in whole else chosen[estimator][_chosen(name)] for name in names}
-            for estimator, names in evaluate.inputs_and_peers.items()
-        },
-        truth=TruthSettings.of(params.truth),
-        measures=params.measures,
-        peers=PEERS,
+        inputs=inputs, seeds=evaluate.seeds, hand_overs=hand_overs, truth=params.truth, measures=params.measures
     )
 
 

@@ -6,7 +6,8 @@ ratio), ``blogs`` (X_B by similarity weight), ``2keypoint`` (by the best 2keypoi
 estimator leaves stored results as they are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,13 @@ import numpy as np
 from epiprior.kernels.one_to_one import one_to_one_mask
 from epiprior.matching.pair import expected_roll, orientation_differences
 from epiprior.types import BoolArray, IntArray, MatchSet
-from epiprior_lab.evaluation.inputs import PRESETS, MatchFiles
+from epiprior_lab.evaluation.inputs import PRESETS, read_matches
 from epiprior_lab.evaluation.records import RANKS, CalibrationRecord, PairRecord, RankingRecord, Record
-from epiprior_lab.evaluation.truth import TruthSettings, pair_truth, true_roll_deg
+from epiprior_lab.evaluation.truth import pair_truth, true_roll_deg
 from epiprior_lab.labels.ground_truth import label_matches
-from epiprior_lab.measures import average_precision, calibration_bins, right_among_first
+from epiprior_lab.measures import average_precision, calibration_bins
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import TruthParams
 
 _TOP = 100
 
@@ -53,12 +55,13 @@ def walked(matches: MatchSet, order: IntArray) -> IntArray:
     return np.asarray(order[one_to_one_mask(matches.feature1[order], matches.feature2[order])])
 
 
-def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSettings) -> list[Record]:
+def pair_records(*, pair: Pair, matches: Mapping[str, Path], group: str, truth: TruthParams) -> list[Record]:
     """Return the records of a pair, its rankings and their calibration; the last two only for a labelled pair.
 
-    `matches` are those of all inputs; without ``standard`` the difficulty stays unknown.
+    `matches` are the files of all inputs; without ``standard`` the difficulty stays unknown.
     """
-    sets, known = matches.read().sets, pair_truth(pair, truth)
+    read, known = read_matches(matches), pair_truth(pair, truth)
+    sets = read.sets
     key: dict[str, Any] = {"group": group, "pair_id": pair.pair_id, "scene": pair.scene}
     share = float("nan")
     records: list[Record] = []
@@ -69,7 +72,7 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
         if name == "standard":
             share = float(right.mean()) if len(right) else 0.0
         orders = ranking_orders(ranked) if name in PRESETS else {"final": np.arange(len(ranked))}
-        features1, features2 = matches.features[name]
+        features1, features2 = read.features[name]
         for ranking, order in orders.items():
             hits = right[walked(ranked, order)]
             records.append(
@@ -82,7 +85,7 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
                     matches=len(hits),
                     right=int(np.count_nonzero(hits)),
                     average_precision=average_precision(hits),
-                    right_at=tuple(int(n) for n in right_among_first(hits, np.array(RANKS))),
+                    right_at=tuple(int(np.count_nonzero(hits[:rank])) for rank in RANKS),
                 )
             )
         if name in PRESETS:
@@ -95,7 +98,7 @@ def pair_records(*, pair: Pair, matches: MatchFiles, group: str, truth: TruthSet
         ranked = sets["default"][0]
         standard = (ranked.distance_ratio < 1) | (ranked.similarity_weight > 0)
         roll = float(expected_roll(orientation_differences(ranked.orientation1_deg, ranked.orientation2_deg)[standard]))
-    features1, features2 = next(iter(matches.features.values()))
+    features1, features2 = next(iter(read.features.values()))
     about = PairRecord(
         **key,
         features1=features1,

@@ -5,12 +5,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, Self, get_type_hints
 
+import numpy as np
 import pandas as pd
 
 from epiprior.errors import EpipriorError
-from epiprior_lab.measures import log_ranks
 
-RANKS = tuple(sorted({*(int(rank) for rank in log_ranks(10_000, per_decade=10)), 10, 100, 500}))
+RANKS = tuple(sorted({*np.rint(10 ** (np.arange(41) / 10)).astype(int).tolist(), 500}))  # ten per decade, to 10,000
 RANKINGS = ("lowe", "blogs", "2keypoint", "sfm", "final")  # of ranked inputs; others have `final` alone
 CASCADE = "cascade"  # in the column `input` of timings and of pairs of kinds
 

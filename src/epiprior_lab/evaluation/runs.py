@@ -1,6 +1,7 @@
 """Runs of estimators on the inputs of a pair, and how far each is from the truth. The loop over both is here alone."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,12 +13,11 @@ from epiprior.geometry import sampson_distance
 from epiprior.types import FundamentalEstimate
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.evaluation.distances import pose_errors, symmetric_distance
-from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches
+from epiprior_lab.evaluation.inputs import PairMatches, read_matches
 from epiprior_lab.evaluation.records import RunRecord
-from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
-from epiprior_lab.labels.ground_truth import errors_px
+from epiprior_lab.evaluation.truth import Truth, pair_truth
 from epiprior_lab.pairsets import Pair
-from epiprior_lab.params import MeasureParams
+from epiprior_lab.params import MeasureParams, TruthParams
 
 EstimatorInputs = Mapping[str, Sequence[str]]
 HandOvers = Mapping[str, Mapping[str, HandOver]]  # by estimator, then by input
@@ -53,9 +53,10 @@ def estimates(
     return each_run(estimate_from_matches, matches, pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs)
 
 
-def error_px(estimate: FundamentalEstimate, truth: Truth) -> float:
-    """Return the paper's error of F, whatever its status: the mean Sampson distance of the points; NaN without F."""
-    return float("nan") if estimate.F is None else float(errors_px(estimate.F, truth.x1, truth.x2).mean())
+def said(estimate: FundamentalEstimate) -> dict[str, Any]:
+    """Return the columns that `RunRecord` and `KindRecord` share: what an estimate says of itself."""
+    own = {name: getattr(estimate, name) for name in ("support", "confidence")}
+    return own | {name: str(getattr(estimate, name)) for name in ("status", "geometry")} | {"matches": len(estimate.x1)}
 
 
 def run_record(
@@ -70,7 +71,7 @@ def run_record(
     names = ("error_px", "median_error_px", "distance", "rotation_deg", "translation_deg")
     measured: dict[str, Any] = dict.fromkeys(names, np.nan)
     if F is not None:
-        errors = errors_px(F, truth.x1, truth.x2)
+        errors = sampson_distance(F, truth.x1, truth.x2)
         measured |= {"error_px": float(errors.mean()), "median_error_px": float(np.median(errors))}
         if truth.F is not None:
             child = child_seed(measures.seed, pair.pair_id)
@@ -82,29 +83,27 @@ def run_record(
             measured["rotation_deg"], measured["translation_deg"] = errors_deg
     return RunRecord(
         **key,
-        **{name: getattr(estimate, name) for name in ("support", "confidence", "iterations")},
+        **said(estimate),
         **measured,
         pair_id=pair.pair_id,
         scene=pair.scene,
-        status=str(estimate.status),
-        geometry=str(estimate.geometry),
-        matches=len(estimate.x1),
+        iterations=estimate.iterations,
     )
 
 
 def run_pair(
     *,
     pair: Pair,
-    matches: MatchFiles,
+    matches: Mapping[str, Path],
     estimator: str,
     seeds: Sequence[int],
     hand_overs: Mapping[str, HandOver],
     group: str,
-    truth: TruthSettings,
+    truth: TruthParams,
     measures: MeasureParams,
 ) -> list[RunRecord]:
-    """Return one record per input and seed of one estimator; parameters as for `estimates` and `run_record`."""
-    read, known = matches.read(), pair_truth(pair, truth)
+    """Return one record per input and seed of one estimator; the files of their `matches` are by input."""
+    read, known = read_matches(matches), pair_truth(pair, truth)
     limits = {name: how.threshold_px * max(read.pixel_factors) for name, how in hand_overs.items()}
     key = {"group": group, "estimator": estimator}
     found = estimates(read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=hand_overs)

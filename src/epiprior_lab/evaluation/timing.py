@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from epiprior.features.images import load_photograph
 from epiprior.types import FundamentalEstimate
@@ -15,9 +16,10 @@ from epiprior_lab.evaluation import inputs
 from epiprior_lab.evaluation.learned import SCRIPT, time_learned
 from epiprior_lab.evaluation.protocol import Protocol, as_shipped
 from epiprior_lab.evaluation.records import CASCADE, TimingRecord
-from epiprior_lab.evaluation.runs import error_px, estimates
+from epiprior_lab.evaluation.runs import estimates
 from epiprior_lab.evaluation.truth import pair_truth
 from epiprior_lab.features.detection import detect_pair
+from epiprior_lab.labels.ground_truth import error_px
 from epiprior_lab.pairsets import Pair
 
 Seconds = Mapping[str, float]
@@ -61,14 +63,13 @@ def time_learned_pairs(
     seeds: Sequence[int],
     python: Path,
     threads: int,
-    script: Path = SCRIPT,
 ) -> list[TimingRecord]:
     """Time a learned matcher on pairs, each with its group, and the estimators on what it finds.
 
     It runs in the interpreter `python` with so many `threads`, one process for all pairs; seconds are measured in it.
     """
     images = [(pair.image1, pair.image2) for _, pair in pairs]
-    matched, seconds = time_learned(images=images, peer=peer, python=python, script=script, threads=threads)
+    matched, seconds = time_learned(images=images, peer=peer, python=python, script=SCRIPT, threads=threads)
     records = []
     for (group, pair), columns, (features, matching) in zip(pairs, matched, seconds, strict=True):
         photographs = [load_photograph(path) for path in (pair.image1, pair.image2)]
@@ -87,24 +88,15 @@ def _time_estimators(
 ) -> Iterator[tuple[TimingRecord, FundamentalEstimate]]:
     """Run every estimator that gets the one input of `matches`; the seconds `before` it are given by column."""
     (name,), truth = matches.sets, pair_truth(pair, protocol.truth)
+    key: dict[str, Any] = {"group": group, "pair_id": pair.pair_id, "scene": pair.scene, "input": name, **before}
+    key["preprocessed"] = name in inputs.PRESETS
     for estimator in (e for e, names in protocol.inputs.items() if name in names):
         how = protocol.hand_overs[estimator]
         for _, seed, estimate in estimates(matches, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs=how):
             running = sum(estimate.seconds.values())
-            record = TimingRecord(
-                group=group,
-                pair_id=pair.pair_id,
-                scene=pair.scene,
-                estimator=estimator,
-                input=name,
-                seed=seed,
-                **before,
-                seconds_estimator=running,
-                seconds_total=sum(before.values()) + running,
-                preprocessed=name in inputs.PRESETS,
-                error_px=error_px(estimate, truth),
-            )
-            yield record, estimate
+            own = key | {"seconds_estimator": running, "seconds_total": sum(before.values()) + running}
+            error = error_px(estimate.F, truth.x1, truth.x2)
+            yield TimingRecord(**own, estimator=estimator, seed=seed, error_px=error), estimate
 
 
 def _cascade(

@@ -11,36 +11,15 @@ import numpy as np
 
 from epiprior.types import FloatArray
 from epiprior_lab.evaluation.distances import points_on_lines
-from epiprior_lab.labels.ground_truth import LabelSettings, reference_fundamental
+from epiprior_lab.labels.ground_truth import reference_fundamental
 from epiprior_lab.pairsets import DatasetError, Pair, transfer_distance
+from epiprior_lab.params import TruthParams
 
 _BESIDE_PLANE = 3
 _BESIDE_PLANE_SHARE = 0.05
 _GRID = 10
 _GOLDEN_RATIO = 0.6180339887498949
 _LABELS = {"3D": "depth", "plane": "plane", "epipolar": "epipolar"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class TruthSettings(LabelSettings):
-    """When a match is right, when a pair decides an F, and what makes a pair easy or hard.
-
-    Control points within `plane_px` of one homography lie on one plane, and so do those of the pairs in `one_plane`.
-    More than `easy_share` of X_L is right: easy; less than `hard_share`: hard.
-    """
-
-    plane_px: float = 3.0
-    one_plane: tuple[str, ...] | None = None
-    easy_share: float = 0.5
-    hard_share: float = 0.2
-
-    def difficulty(self, right_share: float) -> str:
-        """Return how hard a pair is by the share of right matches in X_L; empty where it is NaN."""
-        if np.isnan(right_share):
-            return ""
-        if right_share > self.easy_share:
-            return "easy"
-        return "hard" if right_share < self.hard_share else "medium"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +37,7 @@ class Truth:
     F: FloatArray | None
 
 
-def pair_truth(pair: Pair, settings: TruthSettings) -> Truth:
+def pair_truth(pair: Pair, settings: TruthParams) -> Truth:
     """Return the ground truth of a pair; its control points are read.
 
     DatasetError if the pair has neither control points nor cameras nor an F, or a file is damaged.

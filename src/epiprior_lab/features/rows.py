@@ -17,8 +17,9 @@ from epiprior.ranking.second_round import second_round_rows, second_round_table
 from epiprior.ranking.two_keypoints import TwoKeypointMatches
 from epiprior.types import BoolArray, Float32Array, FloatArray
 from epiprior_lab.features.detection import detect_pair
-from epiprior_lab.labels.ground_truth import LabelSettings, label_matches
+from epiprior_lab.labels.ground_truth import TRUTH, label_matches
 from epiprior_lab.pairsets import Pair, npz_bytes
+from epiprior_lab.params import TruthParams
 
 Classifier = Callable[[Float32Array], FloatArray]
 _PARTS = {"two_keypoints": TwoKeypointMatches, "table": StandardTable, "union": Union, "united_frames": MatchFrames}
@@ -49,7 +50,7 @@ class PairRows:
         return labels[self.two_keypoints.main] & labels[self.two_keypoints.other]
 
 
-def extract_rows(pair: Pair, preset: str, settings: LabelSettings | None = None) -> list[PairRows]:
+def extract_rows(pair: Pair, preset: str, settings: TruthParams = TRUTH) -> list[PairRows]:
     """Run the library up to the first classifier and label the matches, for every roll hypothesis."""
     own = find_preset(preset)
     found = detect_pair(pair, own.features)
@@ -74,7 +75,7 @@ def extract_rows(pair: Pair, preset: str, settings: LabelSettings | None = None)
 
 
 def _labels(
-    pair: Pair, prepared: PreparedPair, frames: Sequence[MatchFrames], settings: LabelSettings | None
+    pair: Pair, prepared: PreparedPair, frames: Sequence[MatchFrames], settings: TruthParams
 ) -> list[BoolArray]:
     """Label matches, in working pixels, by the truth, in given ones; all at once: depth maps are slow to read."""
     points, scales = [], []

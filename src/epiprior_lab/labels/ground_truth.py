@@ -6,9 +6,6 @@ true F can be checked ("epipolar" labels): 1 to 4 % of random matches satisfy it
 comes from the cameras, or is fitted to all control points.
 """
 
-from dataclasses import dataclass, fields
-from typing import Self
-
 import numpy as np
 import pandas as pd
 from scipy.optimize import least_squares
@@ -23,27 +20,19 @@ from epiprior_lab.params import TruthParams
 _RIM_REACH_PX = (1.0, 4.0)
 _RIM_BEND = 0.1
 
+# Where no parameter file says otherwise.
+TRUTH = TruthParams(
+    tolerance_px=3.0,
+    tolerance_sigma=0.5,
+    depth_tolerance=0.02,
+    epipolar_px=2.0,
+    plane_px=3.0,
+    one_plane=None,
+    easy_share=0.5,
+    hard_share=0.2,
+)
+
 _PerImage = tuple[FloatArray, FloatArray]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LabelSettings:
-    """When a match counts as right.
-
-    A reprojection error is allowed up to the larger of `tolerance_px` and `tolerance_sigma` times the feature's sigma,
-    since large features are located less well; a point is visible where depths differ relatively by less than
-    `depth_tolerance`. Without depth, Sampson distances are up to `epipolar_px` pixels.
-    """
-
-    tolerance_px: float = 3.0
-    tolerance_sigma: float = 0.5
-    depth_tolerance: float = 0.02
-    epipolar_px: float = 2.0
-
-    @classmethod
-    def of(cls, truth: TruthParams) -> Self:
-        """Return the tolerances of a parameter file."""
-        return cls(**{part.name: getattr(truth, part.name) for part in fields(cls)})
 
 
 def label_matches(
@@ -53,7 +42,7 @@ def label_matches(
     scale1: FloatArray,
     scale2: FloatArray,
     *,
-    settings: LabelSettings | None = None,
+    settings: TruthParams = TRUTH,
 ) -> BoolArray:
     """Return which matches `x1`, `x2` (N, 2) of features of sigma `scale1`, `scale2` (N,), pixels, are right, (N,).
 
@@ -64,7 +53,6 @@ def label_matches(
 
     FeatureError if points have a wrong shape; DatasetError if files are damaged or nothing decides.
     """
-    settings = settings or LabelSettings()
     x1, x2 = as_points("x1", x1), as_points("x2", x2)
     H = pair.homography()
     if H is not None:
@@ -77,14 +65,14 @@ def label_matches(
     return forward & backward
 
 
-def _near(H: FloatArray, x: FloatArray, wanted: FloatArray, scale: FloatArray, settings: LabelSettings) -> BoolArray:
+def _near(H: FloatArray, x: FloatArray, wanted: FloatArray, scale: FloatArray, settings: TruthParams) -> BoolArray:
     """Return where `H` takes a point close enough to where it should."""
     tolerance = np.maximum(settings.tolerance_px, settings.tolerance_sigma * scale)
     return np.asarray(np.linalg.norm(transfer(H, x) - wanted, axis=1) < tolerance)
 
 
 def _confirmed(
-    cameras: Cameras, depths: DepthMaps, x: _PerImage, scales: _PerImage, settings: LabelSettings
+    cameras: Cameras, depths: DepthMaps, x: _PerImage, scales: _PerImage, settings: TruthParams
 ) -> BoolArray:
     """Return where a depth of the first image near ``x[0]`` leads to ``x[1]``, at a depth seen there."""
     tolerance = np.maximum(settings.tolerance_px, settings.tolerance_sigma * scales[1])
@@ -157,9 +145,9 @@ def fit_to_points(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
     return normalise_fundamental(np.linalg.inv(T2).T @ at(found.x) @ np.linalg.inv(T1))
 
 
-def errors_px(F: FloatArray, x1: FloatArray, x2: FloatArray) -> FloatArray:
-    """Return the Sampson distance of each control point, shape (N,), pixels; the paper's error is its mean."""
-    return sampson_distance(F, x1, x2)
+def error_px(F: FloatArray | None, x1: FloatArray, x2: FloatArray) -> float:
+    """Return the paper's error of F: the mean Sampson distance of control points (N, 2), pixels; NaN without F."""
+    return float("nan") if F is None else float(sampson_distance(F, x1, x2).mean())
 
 
 def control_points_from_depth(cameras: Cameras, depths: DepthMaps, *, count: int, seed: int) -> _PerImage:

@@ -3,11 +3,12 @@
 from epiprior.matching.pair import prepare_pair, roll_hypotheses
 from epiprior.presets import DEFAULT
 from epiprior.ranking.hypothesis import find_candidates
-from epiprior_lab.labels.ground_truth import LabelSettings, label_matches
+from epiprior_lab.labels.ground_truth import label_matches
 from epiprior_lab.pairsets import Pair
+from epiprior_lab.params import TruthParams
 
 
-def right_among_putative(pair: Pair, labels: LabelSettings) -> int:
+def right_among_putative(pair: Pair, labels: TruthParams) -> int:
     """Return how many matches of X (paper, section 4.3) are right, under the roll hypothesis that has most."""
     prepared = prepare_pair(pair.image1, pair.image2, DEFAULT)
     (f1, f2), (place1, place2) = prepared.features, prepared.locations

@@ -18,11 +18,11 @@ import pandas as pd
 from epiprior.estimators.handover import HandOver, default_hand_over, hand_over
 from epiprior.estimators.run import solve
 from epiprior.types import FloatArray
-from epiprior_lab.compute.tasks import Task, default_workers, map_tasks
-from epiprior_lab.evaluation.inputs import MatchFiles, PairMatches, store_matches
+from epiprior_lab.compute.tasks import Task, map_tasks
+from epiprior_lab.evaluation.inputs import PairMatches, read_matches, store_matches
 from epiprior_lab.evaluation.runs import EstimatorInputs, each_run
 from epiprior_lab.evaluation.statistics import area_under_success_curve
-from epiprior_lab.labels.ground_truth import errors_px
+from epiprior_lab.labels.ground_truth import error_px
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import HandOverParams
 
@@ -100,22 +100,21 @@ def coordinates(estimator: str, name: str, params: HandOverParams) -> list[tuple
 
 
 def candidate_errors(
-    *, pair: Pair, matches: MatchFiles, place: Place, hows: Sequence[HandOver], seeds: Sequence[int]
+    *, pair: Pair, matches: Mapping[str, Path], place: Place, hows: Sequence[HandOver], seeds: Sequence[int]
 ) -> FloatArray:
     """Return the errors of all hand-overs of one input to one estimator on one pair, shape (len(hows), len(seeds)).
 
-    Pixels, NaN without a fundamental matrix. `matches` are those of the input alone. Nothing runs again for a hand-over
-    of the same matches as an earlier one.
+    Pixels, NaN without a fundamental matrix. `matches` holds the file of the input alone. Nothing runs again for a
+    hand-over of the same matches as an earlier one.
     """
-    (estimator, name), points, read = place, pair.control_points(), matches.read()
+    (estimator, name), points, read = place, pair.control_points(), read_matches(matches)
     found: dict[tuple[Any, ...], list[float]] = {}
     errors = []
     for how in hows:
         same = _effect(read, name, how)
         if same not in found:
             runs = each_run(solve, read, pair.pair_id, estimator=estimator, seeds=seeds, hand_overs={name: how})
-            matrices = [solution.F for _, _, solution in runs]
-            found[same] = [np.nan if F is None else float(errors_px(F, *points).mean()) for F in matrices]
+            found[same] = [error_px(solution.F, *points) for _, _, solution in runs]
         errors.append(found[same])
     return np.array(errors, np.float64)
 
@@ -137,8 +136,7 @@ def search_hand_overs(
     """
     varied = {(e, name): coordinates(e, name, params) for e, names in inputs.items() for name in names}
     used = tuple(dict.fromkeys(name for _, name in varied))
-    about: dict[str, Any] = {"files": files, "workers": default_workers(), "description": "match validation pairs"}
-    matched = store_matches(pairs, used, store / "matches", **about)
+    matched = store_matches(pairs, used, store / "matches", files=files, description="match validation pairs")
     best: dict[Place, Trial] = {}
     trials: list[Trial] = []
     for step in range(max(map(len, varied.values()))):
@@ -153,10 +151,9 @@ def search_hand_overs(
             planned[place] = [how for how in every if not step or how != start]
             common = {"place": place, "hows": planned[place], "seeds": params.seeds}
             for pair, found in zip(pairs, matched, strict=True):
-                matches = found.only((place[1],))
-                payload = {"pair": pair, "matches": matches, **common}
-                needed = (*pair.files, *matches.paths.values())
-                tasks.append(Task(name=f"{pair.pair_id} {' '.join(place)} {step}", payload=payload, files=needed))
+                name, path = f"{pair.pair_id} {' '.join(place)} {step}", found[place[1]]
+                payload = {"pair": pair, "matches": {place[1]: path}, **common}
+                tasks.append(Task(name=name, payload=payload, files=(*pair.files, path)))
         errors = iter(map_tasks(candidate_errors, tasks, description=f"hand-over, step {step + 1}", store=store))
         for place, hows in planned.items():
             of_pairs = np.stack([next(errors) for _ in pairs], axis=1)  # (hand-overs, pairs, seeds)

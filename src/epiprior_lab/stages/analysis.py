@@ -4,11 +4,10 @@ from pathlib import Path
 
 from epiprior.estimators.handover import load_hand_overs
 from epiprior_lab.analysis.analyse import AnalysisSettings, analyse_pairs
-from epiprior_lab.compute.tasks import default_workers, single_threaded
+from epiprior_lab.compute.tasks import single_threaded
 from epiprior_lab.evaluation.inputs import PRESETS, model_files
 from epiprior_lab.evaluation.protocol import MODELS, pairs_of
 from epiprior_lab.evaluation.records import Tables
-from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.params import load_study
 from epiprior_lab.report.analysis import write_analysis
 
@@ -31,9 +30,8 @@ def main() -> None:
             success_px=report.success_px,
         ),
         hand_overs=load_hand_overs(MODELS / "hand_over.json"),
-        labels=LabelSettings.of(params.truth),
+        labels=params.truth,
         files=model_files(MODELS, PRESETS),
-        workers=default_workers(),
         store=Path("data/.tasks/analysis"),
     )
     analysis.write(Path("data/analysis"))

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from epiprior.verification.cascade import save_cascade_rule
-from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.evaluate import run_pairs
 from epiprior_lab.evaluation.inputs import FIRST, PREPROCESSED, model_files, store_matches
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, rendered_pairs
@@ -20,14 +19,14 @@ STORE = Path("data/.tasks/validation")  # where the stage `hand_over` left the m
 def main() -> None:
     """Write ``models/cascade.json`` and ``reports/cascade.{md,png}``."""
     params = load_study()
-    protocol, workers = make_protocol(params), default_workers()
+    protocol = make_protocol(params)
     compared = {e: [n for n in names if n in (FIRST, PREPROCESSED)] for e, names in protocol.inputs.items()}
     asked, files = protocol.all_inputs, model_files(MODELS, protocol.all_inputs)
-    own, at = replace(protocol, inputs=compared, seeds=params.cascade.seeds), STORE / "matches"
+    own = replace(protocol, inputs=compared, seeds=params.cascade.seeds)
     records = []
     for group, pairs in rendered_pairs("validation", params.scenes.families).items():
-        matched = store_matches(pairs, asked, at, files=files, workers=workers, description=f"match {group}")
-        records += run_pairs(pairs, matched, own, group=group, workers=workers, store=STORE)
+        matched = store_matches(pairs, asked, STORE / "matches", files=files, description=f"match {group}")
+        records += run_pairs(pairs, matched, own, group=group, store=STORE)
     evaluate, report = params.evaluate, params.report
     validation = paired_runs(to_frame(RunRecord, records))
     learnt = learn_rule(validation, params.cascade, success_px=report.success_px, strict_px=report.strict_px)

@@ -1,9 +1,7 @@
 """Stage `evaluate`: estimators without and with the preprocessing step on the pairs of one group."""
 
 from pathlib import Path
-from typing import Any
 
-from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.evaluate import evaluate
 from epiprior_lab.evaluation.inputs import model_files
 from epiprior_lab.evaluation.protocol import MODELS, make_protocol, pairs_of
@@ -16,8 +14,7 @@ def main() -> None:
     params, group = load_params(arguments.params), str(arguments.group)
     own, protocol = params.evaluate, make_protocol(params)
     store, files = Path("data/.tasks") / Path(own.out).name / group, model_files(MODELS, protocol.all_inputs)
-    how: dict[str, Any] = {"group": group, "workers": default_workers(), "store": store, "files": files}
-    evaluate(pairs_of(own, group), protocol, **how).write(Path(own.out) / group)
+    evaluate(pairs_of(own, group), protocol, group=group, store=store, files=files).write(Path(own.out) / group)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from epiprior_lab.compute.tasks import default_workers
 from epiprior_lab.evaluation.peers import write_peer_matches
 from epiprior_lab.evaluation.protocol import PEERS, pairs_of
 from epiprior_lab.params import PHOTOGRAPHS, load_params, read_arguments
@@ -13,7 +12,7 @@ def main() -> None:
     arguments = read_arguments(main.__doc__, params=PHOTOGRAPHS, group=None)
     own, group = load_params(arguments.params).evaluate, str(arguments.group)
     store = Path("data/.tasks/peers") / group
-    write_peer_matches(pairs_of(own, group), own.peers or (), PEERS / group, workers=default_workers(), store=store)
+    write_peer_matches(pairs_of(own, group), own.peers or (), PEERS / group, store)
 
 
 if __name__ == "__main__":

@@ -9,10 +9,9 @@ from tempfile import TemporaryDirectory
 
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.compute.tasks import Task, map_tasks
-from epiprior_lab.labels.ground_truth import LabelSettings
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import PairFiles, encode_depth, read_pair_set, write_pair_set
-from epiprior_lab.params import SPLITS, load_study, read_arguments
+from epiprior_lab.params import SPLITS, TruthParams, load_study, read_arguments
 from epiprior_lab.scenes.pairs import SceneError, render_pair
 from epiprior_lab.scenes.render import encode_jpeg
 
@@ -21,7 +20,7 @@ _DRAWS = 20
 
 
 def render_solvable(
-    *, seed: int, least_right: int, labels: LabelSettings, pair_id: str, family: str, **size: int
+    *, seed: int, least_right: int, labels: TruthParams, pair_id: str, family: str, **size: int
 ) -> PairFiles:
     """Return the first of some draws whose X holds at least `least_right` right matches; of 0, the first.
 
@@ -60,7 +59,7 @@ def main() -> None:
     scenes = params.scenes
     common = {
         "least_right": LEAST_RIGHT if split in ("validation", "test") else 0,
-        "labels": LabelSettings.of(params.truth),
+        "labels": params.truth,
         "width": scenes.image_width,
         "height": scenes.image_height,
         "jpeg_quality": scenes.jpeg_quality,

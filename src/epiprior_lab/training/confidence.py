@@ -20,7 +20,7 @@ from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.compute.tasks import Task, map_tasks
 from epiprior_lab.evaluation.kinds import TRUE, KindCase, case_runs, plan_cases
 from epiprior_lab.evaluation.runs import HandOvers
-from epiprior_lab.labels.ground_truth import errors_px
+from epiprior_lab.labels.ground_truth import error_px
 from epiprior_lab.pairsets import Pair
 from epiprior_lab.params import ConfidenceParams
 from epiprior_lab.scenes.kinds import HOMOGRAPHIES
@@ -62,9 +62,8 @@ def case_facts(
     rows, right = [], []
     for _, _, found in runs:
         if found.facts is not None:
-            error = np.inf if points is None or found.F is None else float(errors_px(found.F, *points).mean())
             rows.append(found.facts.row())
-            right.append(error < success_px)
+            right.append(points is not None and error_px(found.F, *points) < success_px)
     table = np.array(rows, np.float32).reshape(-1, len(COLUMNS))
     return CaseFacts(case=case, rows=table, right=np.array(right, np.bool_))
 

@@ -21,7 +21,7 @@ from epiprior_lab.analysis.analyse import AnalysisSettings
 from epiprior_lab.analysis.records import Analysis, LimitRecord, VariantRecord
 from epiprior_lab.analysis.variants import oriented_votes, propose, ranked_sets, reordered
 from epiprior_lab.evaluation.records import RANKS, RankingRecord, RunRecord, Tables
-from epiprior_lab.labels.ground_truth import LabelSettings
+from epiprior_lab.labels.ground_truth import TRUTH
 from epiprior_lab.params import load_study
 from epiprior_lab.report import analysis as page
 from epiprior_lab.report import analysis_results
@@ -37,11 +37,13 @@ PRESETS = {
 
 
 @pytest.fixture(scope="module")
-def analysed(pairs, model):
+def analysed(pairs, model, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("EPIPRIOR_WORKERS", "1")
         patch.setattr(analysis, "load_model", lambda name: model)
         patch.setattr(analysis, "find_preset", PRESETS.__getitem__)
-        common = {"settings": SETTINGS, "hand_overs": load_hand_overs(None), "labels": LabelSettings()}
+        common = {"settings": SETTINGS, "hand_overs": load_hand_overs(None), "labels": TRUTH, "files": ()}
+        common["store"] = tmp_path_factory.mktemp("store")
         return analysis.analyse_pairs({"relief": pairs, "easy": pairs[1:]}, complete=("relief",), **common)
 
 
@@ -143,7 +145,7 @@ def test_rows_and_rankings_of_a_pair(analysed, ranked, pairs):
     table = of_group(analysed, "relief").precision
     table = table[table["pair_id"] == "relief-0"].set_index(["variant", "ranking"])
     final = ranked.sets[0].one_to_one()
-    right = np.abs(final.x1[:, 1] - final.x2[:, 1]) < np.sqrt(2) * LabelSettings().epipolar_px
+    right = np.abs(final.x1[:, 1] - final.x2[:, 1]) < np.sqrt(2) * TRUTH.epipolar_px
     assert table.loc[("default", "final"), "precision_100"] == pytest.approx(right[:100].mean(), abs=0.03)
     assert table.loc[("X alone", "final"), "matches"] < table.loc[("default", "final"), "matches"]
     assert table.loc[("oriented matches", "sfm"), "precision_10"] > 0.5

@@ -20,7 +20,8 @@ from epiprior_lab.evaluation import inputs, runs
 from epiprior_lab.evaluation.evaluate import evaluate
 from epiprior_lab.evaluation.protocol import Protocol, make_protocol, pairs_of
 from epiprior_lab.evaluation.records import Tables
-from epiprior_lab.evaluation.truth import Truth, TruthSettings, pair_truth
+from epiprior_lab.evaluation.truth import Truth, pair_truth
+from epiprior_lab.labels.ground_truth import TRUTH, error_px
 from epiprior_lab.pairsets import fundamental_from_cameras
 from epiprior_lab.params import MeasureParams, load_params
 from synthetic import make_pair
@@ -31,7 +32,8 @@ SEEDS = (0, 1)
 
 
 @pytest.fixture
-def protocol(relief, tiny_model):
+def protocol(relief, tiny_model, monkeypatch):
+    monkeypatch.setenv("EPIPRIOR_WORKERS", "1")
     chosen = load_hand_overs(None)
     hand_overs = {e: {n: chosen[e].get(n, HandOver()) for n in names} for e, names in INPUTS.items()}
     return Protocol(inputs=INPUTS, seeds=SEEDS, hand_overs=hand_overs, peers=relief.parent / "peers")
@@ -122,7 +124,7 @@ def test_an_estimate_is_measured_whatever_its_status(tmp_path):
     none = runs.run_record(replace(turned_down, F=None), pair, truth, measures, **key)
     measured = (none.error_px, none.median_error_px, none.distance, none.rotation_deg, none.translation_deg)
     assert np.isnan(measured).all()
-    assert np.isnan(runs.error_px(replace(turned_down, F=None), truth))
+    assert np.isnan(error_px(None, x1, x2))
     no_f = runs.run_record(turned_down, replace(pair, camera2=None), replace(truth, F=None), measures, **key)
     assert no_f.error_px < 1e-6
     assert np.isnan((no_f.distance, no_f.rotation_deg)).all()
@@ -141,8 +143,8 @@ def test_thresholds_of_large_images_are_meant_at_working_size(pairs, tmp_path):
     assert matches.pixel_factors == pytest.approx((factor, factor))
     how = {"estimator": "usac", "seeds": (0,), "hand_overs": {"snn": HandOver(threshold_px=1.0)}}
     [(_, _, found)] = runs.estimates(matches, "p", **how)
-    truth = pair_truth(pairs[0], TruthSettings())
-    assert runs.error_px(found, replace(truth, x1=3 * truth.x1 + 1, x2=3 * truth.x2 + 1)) < 2
+    truth = pair_truth(pairs[0], TRUTH)
+    assert error_px(found.F, 3 * truth.x1 + 1, 3 * truth.x2 + 1) < 2
     [(_, _, strict)] = runs.estimates(replace(matches, pixel_factors=(1.0, 1.0)), "p", **how)
     assert strict.support < found.support  # a pixel of the large image is less than a working pixel
 

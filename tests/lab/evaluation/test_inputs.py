@@ -17,7 +17,7 @@ from epiprior_lab.pairsets import DatasetError
 
 def test_shared_features_and_files_change_nothing(pairs, tiny_model, tmp_path):
     [files] = inputs.store_matches(pairs[:1], ("standard", "default"), tmp_path / "matches")
-    got = files.only(("default",)).read()
+    got = inputs.read_matches({"default": files["default"]})
     with single_threaded():  # as tasks run: sums of several threads are taken in another order
         wanted = rank_matches(pairs[0].image1, pairs[0].image2).sets
     assert (list(got.sets), len(got.sets["default"])) == (["default"], len(wanted))
@@ -55,12 +55,13 @@ def test_the_printed_method_has_features_of_its_own_and_others_are_detected_once
 
 def test_matches_of_a_peer_are_kept_beside_our_own_with_their_features_or_named_if_damaged(pairs, relief, tmp_path):
     files = inputs.store_matches(pairs[:1], ("standard", "twin"), tmp_path, peers=relief.parent / "peers" / "relief")[0]
-    (found,), own = files.read().sets["twin"], files.features["standard"]
-    assert files.features["twin"] == own
+    read = inputs.read_matches(files)
+    (found,), own = read.sets["twin"], read.features["standard"]
+    assert read.features["twin"] == own
     assert min(own) > 300
     np.testing.assert_allclose(found.x1, pairs[0].control_points()[0])
     assert np.isnan(found.probability).all()
-    assert found.image_sizes == files.read().sets["standard"][0].image_sizes
+    assert found.image_sizes == read.sets["standard"][0].image_sizes
     refused(DatasetError, "matches of twin", inputs.store_matches, pairs[:1], ("standard", "twin"), tmp_path)
     good = dict(np.load(relief.parent / "peers" / "relief" / "twin" / "relief-0.npz"))
     for change, message in (

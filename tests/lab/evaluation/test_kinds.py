@@ -9,7 +9,7 @@ import pytest
 from epiprior.estimators.handover import HandOver
 from epiprior.verification.cascade import CascadeRule
 from epiprior_lab.evaluation.kinds import COLMAP, KindCase, case_records, places_of, plan_cases
-from epiprior_lab.evaluation.truth import TruthSettings
+from epiprior_lab.labels.ground_truth import TRUTH
 from epiprior_lab.scenes.kinds import KINDS, make_views
 from pictures import texture
 
@@ -57,7 +57,7 @@ def test_views_are_made_of_what_the_kind_says(kind):
 
 @pytest.mark.filterwarnings("ignore:create.. is deprecated:DeprecationWarning")  # of pycolmap 4.2
 def test_a_true_pair_has_an_error_and_no_other_kind(pairs, tiny_model):
-    how = {"inputs": {"magsac++": ("snn", "default")}, "truth": TruthSettings(), "rule": CascadeRule()}
+    how = {"inputs": {"magsac++": ("snn", "default")}, "truth": TRUTH, "rule": CascadeRule()}
     how |= {"hand_overs": {"magsac++": dict.fromkeys(("snn", "default"), HandOver())}, "cascaded": ["magsac++"]}
     true = KindCase(name="t", block="b", kind="pair", seed=0, pair=pairs[0])
     copy = KindCase(name="c", block="b", kind="copy", seed=0, images=(pairs[0].image1, pairs[0].image1))

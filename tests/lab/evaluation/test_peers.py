@@ -12,7 +12,7 @@ from calls import refused
 from epiprior.errors import SettingsError
 from epiprior.features.detect import detect_features
 from epiprior.features.images import load_photograph
-from epiprior_lab.evaluation import learned
+from epiprior_lab.evaluation import learned, peers
 from epiprior_lab.evaluation.inputs import read_peer_matches
 from epiprior_lab.evaluation.peers import write_peer_matches
 from pictures import save
@@ -55,38 +55,41 @@ if Path(request["pairs"][0][0]).name == "absent.png":
 
 
 @pytest.fixture
-def environment(tmp_path):
+def environment(tmp_path, monkeypatch):
     """A folder that looks like an environment, with this interpreter."""
     (tmp_path / "peers" / "bin").mkdir(parents=True)
     python = tmp_path / "peers" / "bin" / "python"
     python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')  # a link would leave the packages behind
     python.chmod(0o755)
+    monkeypatch.setattr(peers, "ENVIRONMENT", tmp_path / "peers")
+    for name, file in (("REQUIREMENTS", "versions.txt"), ("WEIGHTS", "weights.txt"), ("SCRIPT", "match.py")):
+        monkeypatch.setattr(peers, name, tmp_path / file)
+        (tmp_path / file).write_text("torch")
     return tmp_path / "peers"
 
 
 def test_peers_run_in_an_environment_of_their_own(pairs, environment, tmp_path):
     (tmp_path / "match.py").write_text(SCRIPT)
-    settings = {"environment": environment, "script": tmp_path / "match.py", "files": ()}
-    write_peer_matches(pairs[:1], (), tmp_path / "none", **settings)
+    store = tmp_path / "store"
+    write_peer_matches(pairs[:1], (), tmp_path / "none", store)
     assert list((tmp_path / "none").iterdir()) == []
-    write_peer_matches(pairs[:1], ("a", "b"), tmp_path / "out", **settings)
+    write_peer_matches(pairs[:1], ("a", "b"), tmp_path / "out", store)
     features = detect_features(load_photograph(pairs[0].image1))
     (first, _), (second, _) = (read_peer_matches(tmp_path / "out" / name / "relief-0.npz") for name in ("a", "b"))
     assert len(first) > 300
     assert len(second) == len(first) - 1
     np.testing.assert_array_equal(first.x1[::-1], features.xy[: len(first)])
     assert first.feature1.max() <= len(np.unique(features.xy, axis=0))
-    refused(Exception, "it is broken", write_peer_matches, pairs[:1], ("broken",), tmp_path / "out", **settings)
+    refused(Exception, "it is broken", write_peer_matches, pairs[:1], ("broken",), tmp_path / "out", store)
     (environment / "bin" / "python").unlink()
-    refused(SettingsError, "make peers", write_peer_matches, pairs[:1], ("a",), tmp_path / "out", **settings)
+    refused(SettingsError, "make peers", write_peer_matches, pairs[:1], ("a",), tmp_path / "out", store)
 
 
 def test_learned_matchers_get_the_photographs(pairs, environment, tmp_path, monkeypatch):
-    script, log, files = tmp_path / "learned.py", tmp_path / "log", (tmp_path / "versions.txt",)
+    script, log, store = tmp_path / "learned.py", tmp_path / "log", tmp_path / "store"
     script.write_text(LEARNED)
-    files[0].write_text("torch")
-    settings = {"environment": environment, "learned_script": script, "files": files, "store": tmp_path / "store"}
-    write_peer_matches(pairs, ("xfeat", "aliked"), tmp_path / "out", **settings)
+    monkeypatch.setattr(learned, "SCRIPT", script)
+    write_peer_matches(pairs, ("xfeat", "aliked"), tmp_path / "out", store)
     assert log.read_text().splitlines() == [f"{name} {len(pairs)} 1 False" for name in ("xfeat", "aliked")]
     for name in ("xfeat", "aliked"):
         for k, pair in enumerate(pairs):
@@ -94,10 +97,10 @@ def test_learned_matchers_get_the_photographs(pairs, environment, tmp_path, monk
             assert (len(found), counts) == (len(name), (100, 90))
             np.testing.assert_array_equal(found.x2 - found.x1, k)
     monkeypatch.setattr("epiprior_lab.compute.store._environment", lambda: b"of another installation")
-    write_peer_matches(pairs, ("xfeat", "aliked"), tmp_path / "again", **settings)
+    write_peer_matches(pairs, ("xfeat", "aliked"), tmp_path / "again", store)
     assert len(log.read_text().splitlines()) == 2  # a new library is no reason to match again; new weights are
-    files[0].write_text("torch 2")
-    write_peer_matches(pairs, ("xfeat",), tmp_path / "again", **settings)
+    (tmp_path / "versions.txt").write_text("torch 2")
+    write_peer_matches(pairs, ("xfeat",), tmp_path / "again", store)
     assert len(log.read_text().splitlines()) == 3
 
 

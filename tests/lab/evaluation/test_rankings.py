@@ -1,12 +1,14 @@
 """Rankings of a pair against its truth: one list, walked one-to-one, of the most probable roll hypothesis."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from epiprior.rank import rank_matches
 from epiprior_lab.evaluation import inputs, rankings
 from epiprior_lab.evaluation.records import RANKINGS, CalibrationRecord, PairRecord, RankingRecord, Tables
-from epiprior_lab.evaluation.truth import TruthSettings
+from epiprior_lab.labels.ground_truth import TRUTH
 from synthetic import make_matches
 
 
@@ -39,21 +41,23 @@ def test_orders_are_walked_one_to_one_and_the_hypothesis_with_the_most_probable_
 
 def test_records_of_a_pair_with_and_without_labels(pairs, tiny_model, tmp_path):
     [files] = inputs.store_matches(pairs[:1], ("standard", "snn", "generalized", "default"), tmp_path)
-    found = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=TruthSettings())
+    found = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=TRUTH)
     assert [type(record) for record in found[:2]] == [PairRecord, RankingRecord]
     tables = Tables.from_records(found)
     (about,) = tables.pairs.to_dict("records")
     assert (about["group"], about["pair_id"], about["scene"]) == ("g", "relief-0", "relief")
     assert (about["labels"], about["points"], about["difficulty"]) == ("control_points", "control_points", "easy")
-    assert (about["features1"], about["features2"]) == files.features["standard"]
-    assert {*zip(tables.rankings["features1"], tables.rankings["features2"], strict=True)} == {files.features["snn"]}
+    assert (about["features1"], about["features2"]) == inputs.read_matches(files).features["standard"]
+    assert {*zip(tables.rankings["features1"], tables.rankings["features2"], strict=True)} == {
+        inputs.read_matches(files).features["snn"]
+    }
     assert np.isnan(about["true_roll_deg"])  # no cameras
     assert abs((about["expected_roll_deg"] + 180) % 360 - 180) < 5
 
     def right(matches):  # the true lines are the rows
-        return np.abs(matches.x1[:, 1] - matches.x2[:, 1]) < np.sqrt(2) * TruthSettings().epipolar_px
+        return np.abs(matches.x1[:, 1] - matches.x2[:, 1]) < np.sqrt(2) * TRUTH.epipolar_px
 
-    assert about["right_share"] == pytest.approx(right(files.read().sets["standard"][0]).mean(), abs=0.01)
+    assert about["right_share"] == pytest.approx(right(inputs.read_matches(files).sets["standard"][0]).mean(), abs=0.01)
     table = tables.rankings.set_index(["input", "ranking"])
     assert [name for name, _ in table.index] == ["standard", "snn", "generalized", *["default"] * 5]
     assert [ranking for _, ranking in table.index] == ["final"] * 3 + list(RANKINGS)
@@ -67,8 +71,8 @@ def test_records_of_a_pair_with_and_without_labels(pairs, tiny_model, tmp_path):
     assert (bins["input"] == "default").all()
     assert (bins["bin"].tolist(), bins["count"].sum()) == (list(range(20)), len(ranked))
     assert bins["probability"].sum() == pytest.approx(ranked.probability.sum())
-    settings = TruthSettings(one_plane=("relief-0",))  # which leaves no labels
-    files = files.only(("standard",))
+    settings = replace(TRUTH, one_plane=("relief-0",))  # which leaves no labels
+    files = {"standard": files["standard"]}
     (about,) = rankings.pair_records(pair=pairs[0], matches=files, group="g", truth=settings)
     assert (about.labels, about.difficulty) == ("", "")
     assert np.isnan((about.right_share, about.expected_roll_deg)).all()  # nothing is ranked

@@ -35,6 +35,7 @@ def test_tables_keep_columns_types_and_seven_digits_and_damaged_ones_are_named(t
     again = read_frame(TimingRecord, tmp_path / "timings.csv")
     pd.testing.assert_frame_equal(again, timings, rtol=1e-6)
     assert again["preprocessed"].dtype == bool
+    assert (RANKS[:7], RANKS[-4:], len(RANKS)) == ((1, 2, 3, 4, 5, 6, 8), (5012, 6310, 7943, 10_000), 39)
     columns = records.column_types(Tables.kinds["rankings"])
     assert [name for name in columns if name.startswith("right_")] == [f"right_{rank}" for rank in RANKS]
     path, table = tmp_path / "pairs.csv", study_tables(pairs=1).pairs

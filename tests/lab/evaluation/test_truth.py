@@ -1,14 +1,16 @@
 """What is known of a pair: points, F, labels, difficulty, roll."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calls import refused
 from epiprior.geometry import sampson_distance
 from epiprior_lab.evaluation import truth as known
-from epiprior_lab.evaluation.truth import TruthSettings, evaluation_points, on_one_plane, pair_truth
+from epiprior_lab.evaluation.truth import evaluation_points, on_one_plane, pair_truth
+from epiprior_lab.labels.ground_truth import TRUTH
 from epiprior_lab.pairsets import DatasetError, read_pair_set, write_control_points
-from epiprior_lab.params import TruthParams
 from synthetic import HEIGHT, WIDTH
 from worlds import camera_pair, two_cameras
 
@@ -22,7 +24,7 @@ def test_points_of_a_pair_with_cameras_only_which_need_two_centres(tmp_path):
         assert ((x >= 0) & (x <= [WIDTH - 1, HEIGHT - 1])).all()
     assert np.ptp(x2, axis=0).min() > 300  # not all on one side
     assert sampson_distance(camera_pair(tmp_path, two_cameras((-2.0, 1.3, 0.4))).fundamental(), x1, x2).mean() > 10
-    truth = pair_truth(pair, TruthSettings())
+    truth = pair_truth(pair, TRUTH)
     assert (truth.labels, truth.points) == ("epipolar", "cameras")
     np.testing.assert_allclose(truth.F, pair.fundamental())
     for cameras in (two_cameras((0.0, 0.0, 0.0)), (None, None)):
@@ -30,10 +32,10 @@ def test_points_of_a_pair_with_cameras_only_which_need_two_centres(tmp_path):
 
 
 def test_an_f_is_fitted_to_control_points_unless_they_lie_on_a_plane(pairs, relief, tmp_path):
-    truth = pair_truth(pairs[0], TruthSettings())
+    truth = pair_truth(pairs[0], TRUTH)
     assert (truth.labels, truth.points) == ("control_points", "control_points")
     assert sampson_distance(truth.F, truth.x1, truth.x2).max() < 0.1
-    named = pair_truth(pairs[0], TruthSettings(one_plane=("relief-0",)))
+    named = pair_truth(pairs[0], replace(TRUTH, one_plane=("relief-0",)))
     assert (named.labels, named.F) == ("", None)
     (tmp_path / "control_points").mkdir()
     (tmp_path / "images").symlink_to(relief / "images")
@@ -41,7 +43,7 @@ def test_an_f_is_fitted_to_control_points_unless_they_lie_on_a_plane(pairs, reli
     x = np.random.default_rng(1).uniform(20, 300, (30, 2))
     for name in ("relief-0", "blank-0"):
         write_control_points(tmp_path / "control_points" / f"{name}.csv", x, x + [20.0, 0.0])
-    flat = pair_truth(read_pair_set(tmp_path).pairs[0], TruthSettings())
+    flat = pair_truth(read_pair_set(tmp_path).pairs[0], TRUTH)
     assert (flat.labels, flat.F) == ("", None)
     rng = np.random.default_rng(0)
     x1 = rng.uniform(0, 500, (40, 2))
@@ -55,14 +57,9 @@ def test_an_f_is_fitted_to_control_points_unless_they_lie_on_a_plane(pairs, reli
     assert not on_one_plane(x1, beside, 4.0)
 
 
-def test_difficulty_and_the_settings_of_a_parameter_file():
-    settings = TruthSettings(easy_share=0.5, hard_share=0.2)
-    found = [settings.difficulty(share) for share in (0.51, 0.5, 0.2, 0.19, np.nan)]
+def test_difficulty():
+    found = [TRUTH.difficulty(share) for share in (0.51, 0.5, 0.2, 0.19, np.nan)]
     assert found == ["easy", "medium", "medium", "hard", ""]
-    labels = {"tolerance_px": 2.0, "tolerance_sigma": 0.25, "depth_tolerance": 0.03, "epipolar_px": 1.5}
-    own = {"plane_px": 4.0, "easy_share": 0.6, "hard_share": 0.1}
-    found = TruthSettings.of(TruthParams(**labels, **own, one_plane=None))
-    assert found == TruthSettings(**labels, **own)
 
 
 @pytest.mark.parametrize("degrees", [-150, -30, 0, 37, 90])

@@ -8,9 +8,10 @@ import pytest
 import yaml
 
 from epiprior.errors import FeatureError
+from epiprior.geometry import sampson_distance
 from epiprior_lab import pairsets
 from epiprior_lab.labels import ground_truth
-from epiprior_lab.labels.ground_truth import LabelSettings, errors_px, label_matches, reference_fundamental
+from epiprior_lab.labels.ground_truth import TRUTH, label_matches, reference_fundamental
 from epiprior_lab.pairsets import DatasetError, depth_at, encode_depth, read_pair_set, reproject, view_difference
 from epiprior_lab.scenes.render import render_depth
 from epiprior_lab.stages import ground_truth as stage
@@ -41,7 +42,7 @@ def points(depths):
 
 def label(pair, x1, x2, sigma=2.0, **settings):
     scale = np.full(len(x1), sigma)
-    return label_matches(pair, x1, x2, scale, scale, settings=LabelSettings(**settings))
+    return label_matches(pair, x1, x2, scale, scale, settings=dataclasses.replace(TRUTH, **settings))
 
 
 def test_true_matches_are_right_and_moved_ones_wrong_but_for_large_features(pair, points):
@@ -54,7 +55,7 @@ def test_true_matches_are_right_and_moved_ones_wrong_but_for_large_features(pair
     farther, _ = reproject(*CAMERAS, x1, 1.3 * depth_at(pair.depths()[0], x1))
     far_off = np.linalg.norm(farther - x2, axis=1) > 5
     assert far_off.sum() > 100
-    assert errors_px(reference_fundamental(pair), x1, farther).max() < 1e-6
+    assert sampson_distance(reference_fundamental(pair), x1, farther).max() < 1e-6
     assert not label(pair, x1[far_off], farther[far_off]).any()
     moved = x2 + [4.0, 0.0]
     assert not label(pair, x1, moved, sigma=2.0).any()
@@ -94,12 +95,12 @@ def test_without_depth_the_epipolar_line_decides_and_control_points_alone_give_n
     assert label(without, x1, x2).all()
     F = reference_fundamental(without)
     moved = x2 + [0.0, 5.0]
-    np.testing.assert_array_equal(label(without, x1, moved), errors_px(F, x1, moved) < 2.0)
+    np.testing.assert_array_equal(label(without, x1, moved), sampson_distance(F, x1, moved) < 2.0)
     assert (~label(without, x1, moved)).mean() > 0.5
     rng, path = np.random.default_rng(0), tmp_path / "p.csv"
     only = dataclasses.replace(pair, camera1=None, camera2=None, depth_paths=None, control_points_path=path)
     pairsets.write_control_points(path, *(x + rng.normal(0, 0.3, x.shape) for x in points))
-    assert errors_px(reference_fundamental(only), *points).mean() < 0.3
+    assert sampson_distance(reference_fundamental(only), *points).mean() < 0.3
     assert label(only, *points).mean() > 0.98
     pairsets.write_control_points(path, points[0][:7], points[1][:7])
     with pytest.raises(DatasetError, match=r"'p'.* no fundamental matrix"):
@@ -171,7 +172,7 @@ def test_the_stages_write_pair_sets_with_control_points(tmp_path, monkeypatch):
         scenes.add(pair.scene)
         x1, x2 = pair.control_points()
         assert len(x1) == 100
-        assert errors_px(pair.fundamental(), x1, x2).max() < 1e-3
+        assert sampson_distance(pair.fundamental(), x1, x2).max() < 1e-3
         assert label(pair, x1, x2).mean() > 0.97  # files are rounded, and a rim at 160 px is steep
         header, row = (truth / "summary.csv").read_text().splitlines()
         assert header.startswith("pair_id,scene,angle_deg,overlap,scale_ratio,roll_deg,control_points")

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from epiprior.errors import SettingsError
+from epiprior.geometry import sampson_distance
 from epiprior_lab import pairsets
 from epiprior_lab.compute.seeds import child_seed
 from epiprior_lab.compute.tasks import Task, map_tasks
-from epiprior_lab.labels.ground_truth import LabelSettings, control_points_from_depth, errors_px
+from epiprior_lab.labels.ground_truth import TRUTH, control_points_from_depth
 from epiprior_lab.labels.solvable import right_among_putative
 from epiprior_lab.pairsets import Camera, encode_depth, fundamental_from_cameras, read_pair_set, reproject
 from epiprior_lab.scenes import pairs, textures
@@ -150,7 +151,7 @@ def test_pairs_keep_the_bounds_of_their_family_and_have_the_detail_of_photograph
     cameras, depths = pair.cameras, pair.depths
     x1, x2 = control_points_from_depth(cameras, depths, count=100, seed=0)
     assert len(x1) == 100
-    assert errors_px(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-6
+    assert sampson_distance(fundamental_from_cameras(*cameras), x1, x2).max() < 1e-6
     seen = pairsets.view_difference(cameras, depths, step=2)
     # Bounds were checked on depth maps of an eighth of the size.
     assert settings.angle_deg[0] - 2 <= seen.angle_deg <= settings.angle_deg[1] + 2
@@ -181,7 +182,7 @@ def test_a_pair_with_too_few_right_matches_is_drawn_anew(monkeypatch):
     monkeypatch.setattr("epiprior_lab.stages.render.right_among_putative", lambda pair, labels: next(found, 0))
     monkeypatch.setattr("epiprior_lab.stages.render._DRAWS", 4)
     drawn = {"family": "open", "width": 128, "height": 96, "jpeg_quality": 92, "pair_id": "p"}
-    how = {"seed": 5, "labels": LabelSettings(), **drawn}
+    how = {"seed": 5, "labels": TRUTH, **drawn}
     chosen, third = render_solvable(least_right=15, **how), render(seed=child_seed(5, "2"), **drawn)
     assert next(found) == 99  # the third draw was taken
     assert (chosen.pair_id, chosen.jpegs, chosen.depths) == ("p", third.jpegs, third.depths)
@@ -195,12 +196,12 @@ def test_right_matches_are_counted_by_depth(tmp_path):
     size = {"family": "facades-easy", "width": 512, "height": 384, "jpeg_quality": 92}
     pairsets.write_pair_set(tmp_path, [render(pair_id="p", seed=3, **size)])
     (pair,) = read_pair_set(tmp_path).pairs
-    count = right_among_putative(pair, LabelSettings())
+    count = right_among_putative(pair, TRUTH)
     assert count > 50
-    assert 0 < right_among_putative(pair, LabelSettings(tolerance_px=0.3, tolerance_sigma=0.0)) < count
+    assert 0 < right_among_putative(pair, dataclasses.replace(TRUTH, tolerance_px=0.3, tolerance_sigma=0.0)) < count
     for path in pair.depth_paths:  # depths of another scene confirm nothing
         path.write_bytes(encode_depth(np.full((384, 512), 2.0, np.float32)))
-    assert right_among_putative(read_pair_set(tmp_path).pairs[0], LabelSettings()) < 0.1 * count
+    assert right_among_putative(read_pair_set(tmp_path).pairs[0], TRUTH) < 0.1 * count
 
 
 @pytest.mark.slow

@@ -23,18 +23,10 @@ PARAMS = HandOverParams(seeds=(0, 1), weighted=WEIGHTED, **NUMBERS, **FLAGS)
 SEARCHED = {"usac": ("standard", "default"), "prosac": ("standard", "default"), "epiprior": ("generalized", "default")}
 
 
-def fake_files():
-    """Return matches of one pair: the same of each input."""
-    names = ("standard", "snn", "generalized", "default")
-    matches = inputs.PairMatches(sets=dict.fromkeys(names, (make_pair().matches,)), pixel_factors=(1.0, 1.0))
-    own = {n: replace(matches, sets={n: matches.sets[n]}) for n in names}
-    return SimpleNamespace(only=lambda names: SimpleNamespace(paths={}, read=lambda: own[names[0]]))
-
-
 @pytest.fixture
 def search(monkeypatch):
     """Search on two pairs whose errors are those of a function of the hand-over."""
-    points, calls = 2 * (np.zeros((1, 2)),), []
+    points, calls, sets = 2 * (np.zeros((1, 2)),), [], (make_pair().matches,)
     pairs = [SimpleNamespace(pair_id=f"pair-{k}", files=(), control_points=lambda: points) for k in range(2)]
 
     def run(error):
@@ -47,8 +39,9 @@ def search(monkeypatch):
 
     for name, fake in {
         "map_tasks": lambda function, tasks, **_: [function(**task.payload) for task in tasks],
-        "store_matches": lambda pairs, *_, **__: [fake_files() for _ in pairs],
-        "errors_px": lambda F, *points: np.array([F]),
+        "store_matches": lambda pairs, names, *_, **__: [dict.fromkeys(names, Path()) for _ in pairs],
+        "read_matches": lambda files: inputs.PairMatches(sets=dict.fromkeys(files, sets), pixel_factors=(1.0, 1.0)),
+        "error_px": lambda F, *points: np.nan if F is None else F,
         "_effect": lambda matches, name, how: how,
     }.items():
         monkeypatch.setattr(hand_over_search, name, fake)
@@ -137,7 +130,13 @@ def test_equal_matches_are_estimated_once(pairs, monkeypatch, tmp_path):
     changes = ({}, {"max_distance_ratio": None}, {"top_k": 10_000}, {"top_k": 50}, {"threshold_px": 2.0})
     hows = [replace(how, **change) for change in changes]  # the first three hand over the same
     calls = note_calls(monkeypatch, hand_over_search, "solve")
-    tried = {"pair": pairs[0], "matches": files.only(("snn",)), "place": ("usac", "snn"), "hows": hows, "seeds": (0, 1)}
+    tried = {
+        "pair": pairs[0],
+        "matches": {"snn": files["snn"]},
+        "place": ("usac", "snn"),
+        "hows": hows,
+        "seeds": (0, 1),
+    }
     got = hand_over_search.candidate_errors(**tried)
     assert [options["seed"] for _, options in calls] == [child_seed(seed, "relief-0") for seed in (0, 1)] * 3
     assert (got < 1).all()
