@@ -119,7 +119,7 @@ def tell(matched: MatchedCollection, scenes: dict[str, str], clock: Clock) -> No
     shown = int((sizes * (sizes - 1) // 2).sum())
     same = sum(scenes[names[a]] == scenes[names[b]] for a, b in matched.pairs)
     print(f"  {len(names)} images of {len(sizes)} scenes, {len(matched)} pairs of {len(names) * (len(names) - 1) // 2}")
-    print(f"  of {shown} pairs of one scene {same / max(shown, 1):.1%} are chosen, and {len(matched) - same} of two scenes")
+    print(f"  of {shown} pairs of one scene {same / max(shown, 1):.1%} are chosen, of two scenes {len(matched) - same}")
     kinds = Counter(
         (pair.geometry or "none", scenes[pair.image1] == scenes[pair.image2])
         for pair in matched

@@ -8,6 +8,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 import pytest
 
@@ -59,6 +60,25 @@ def test_simple_matches_of_an_f_are_joined_by_those_along_its_lines(tmp_path):
     x1, x2 = (found.features(place).xy[rows].astype(float) for place, rows in enumerate(pair.matches.T))
     assert sampson_distance(pair.F, x1, x2).max() < 2.0
     assert all(len(np.unique(rows)) == len(rows) for rows in pair.matches.T)
+
+
+def test_a_camera_that_stands_still_is_no_watermark(tmp_path, monkeypatch):
+    """A sequence would be cut where it stands: COLMAP's mapper passes over watermarks."""
+    still, moved = tmp_path / "set", views(tmp_path / "moved", 1)
+    still.mkdir()
+    pixels = cv2.imread(str(moved / "0.png"), cv2.IMREAD_GRAYSCALE)
+    save(still / "0.png", pixels)
+    save(
+        still / "1.png", np.clip(pixels + np.random.default_rng(1).normal(0, 3, pixels.shape), 0, 255).astype(np.uint8)
+    )
+    (pair,) = match_collection(still, workers=1)
+    assert (pair.status, pair.geometry) == ("degenerate", "PANORAMIC")
+    monkeypatch.setattr(match, "_COPY_SHARE", 0.99)  # as if few of the features agreed
+    images, files = find_images(still).images, (tmp_path / "0", tmp_path / "1")
+    for file, image in zip(files, images, strict=True):
+        file.write_bytes(make_features(image, DEFAULT.features))
+    _, found = match.match_pair(images, files, match.MatchSettings(settings=DEFAULT))
+    assert found.geometry == "WATERMARK"
 
 
 def test_the_largest_features_are_tried_first(tmp_path, monkeypatch):

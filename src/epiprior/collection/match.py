@@ -29,6 +29,7 @@ from epiprior.verification.cascade import load_cascade_rule
 
 LARGEST = 2_000  # features that a cascade tries first
 _SAME_PLACE_PX = 0.01
+_COPY_SHARE = 0.2  # of the features; on validation scenes copies match at least 0.31, pictures under an overlay 0.09
 _GUIDED_PX = 2.0  # working pixels
 _read = functools.lru_cache(maxsize=8)(read_features)  # pairs come image by image
 
@@ -68,13 +69,14 @@ def match_pair(
     both = stored[0].features, stored[1].features
     known = None if cameras is None else (intrinsics_of(cameras[0]), intrinsics_of(cameras[1]))
     found = _of_largest(both, how, known) if how.mode == "cascade" else None
+    compared = min(*map(len, both), *(() if found is None else (LARGEST,)))
     if found is None:
         view1, view2 = (one.view(image, how.settings.features) for one, image in zip(stored, images, strict=True))
         found = estimate_fundamental(view1, view2, features1=both[0], features2=both[1], intrinsics=known, **vars(how))
-    plain = _gather(images, stored, found, how, start)
+    plain = _gather(images, stored, found, how, start, compared)
     if known is None or found.calibrated is None:
         return plain, plain
-    return plain, _gather(images, stored, found.calibrated, how, start, known)
+    return plain, _gather(images, stored, found.calibrated, how, start, compared, known)
 
 
 def _of_largest(
@@ -116,15 +118,22 @@ def _gather(
     found: FundamentalEstimate,
     how: MatchSettings,
     start: float,
+    compared: int,
     intrinsics: tuple[Intrinsics, Intrinsics] | None = None,
 ) -> MatchedPair:
-    """Return a pair; an F that comes from simple matches gets those along its lines, which ranked ones have."""
+    """Return a pair; an F that comes from simple matches gets those along its lines, which ranked ones have.
+
+    Two pictures of one view, such as frames of a camera that stands still, share most of their `compared` features, and
+    are to COLMAP what a camera that turns sees. Where only a few do not move, something lies over both pictures.
+    """
     first, second = stored[0].features, stored[1].features
     geometry = configuration_of(found)
     inliers = np.flatnonzero(found.inliers) if geometry else np.empty(0, np.int64)
     rows = np.column_stack([_rows_of(stored[0], found.x1[inliers]), _rows_of(stored[1], found.x2[inliers])])
     rows = rows[one_to_one_mask(*rows.T)]
     own = len(rows)
+    if geometry == "WATERMARK" and own >= _COPY_SHARE * compared:
+        geometry = "PANORAMIC"
     if found and found.F is not None and found.input != how.settings.name:
         camera1, camera2 = intrinsics or (None, None)
         straight = _undistorted(first, camera1), _undistorted(second, camera2)
