@@ -5,9 +5,7 @@ reads ``two_view_geometries``, yet counts a pair only where ``matches`` holds it
 """
 
 import contextlib
-import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,73 +16,13 @@ import numpy as np
 from epiprior.errors import ImageError, OutputError, require
 from epiprior.estimators.essential import Intrinsics
 from epiprior.features.images import read_image
-from epiprior.io.output import check_output, replacing
-from epiprior.kernels.one_to_one import one_to_one_mask
+from epiprior.io.output import check_output
 from epiprior.types import FloatArray, FundamentalEstimate, Geometry, IntArray
 
 _CONFIGURATIONS = {Geometry.PLANAR: "PLANAR", Geometry.ROTATION: "PANORAMIC", Geometry.IDENTICAL: "WATERMARK"}
 _EXIF = (b"Exif", b"eXIf", b"EXIF")  # what introduces an orientation in JPEG, PNG and WebP
 _HALF_PIXEL = 0.5  # COLMAP has the centre of the top-left pixel there
 _TO_OURS = np.array([[1.0, 0.0, -_HALF_PIXEL], [0.0, 1.0, -_HALF_PIXEL], [0.0, 0.0, 1.0]])
-
-
-@dataclass(frozen=True, kw_only=True)
-class ColmapPair:
-    """Two different image files and what was estimated for them.
-
-    The matches of the estimate are written; its F and inliers too where its status is ``ok``, and where a homography
-    relates the images that and its inliers, as COLMAP does with planes and turning cameras.
-    """
-
-    image1: Path
-    image2: Path
-    estimate: FundamentalEstimate
-
-
-def write_colmap_database(
-    path: str | Path, pairs: Sequence[ColmapPair], *, image_root: str | Path | None = None
-) -> None:
-    """Write keypoints, matches and two-view geometries of image pairs to a new COLMAP database.
-
-    Features of one image at the very same location (float32) become one keypoint, since an estimate carries locations
-    only. That links the pairs of an image into tracks. Matches are made one-to-one, inliers first, in the order of the
-    estimate. Every image gets its own camera, with COLMAP's guess of the focal length.
-
-    Parameters
-    ----------
-    path : The database; must not exist.
-    pairs : Each pair of images at most once, in either order.
-    image_root : The folder that image names are relative to, COLMAP's ``image_path``; by default the deepest of all.
-
-    Raises
-    ------
-    OutputError : If pycolmap is not installed, `path` exists or cannot be written, or a pair is there twice.
-    ImageError : As `check_colmap_images` does.
-    """
-    path = Path(path)
-    pycolmap = check_colmap_output(path)
-    pairs = [replace(p, image1=_absolute(p.image1), image2=_absolute(p.image2)) for p in pairs]
-    seen: set[frozenset[Path]] = set()
-    for pair in pairs:
-        if pair.image1 == pair.image2:
-            raise OutputError(f"{path}: {pair.image1} is paired with itself")
-        if (key := frozenset((pair.image1, pair.image2))) in seen:
-            raise OutputError(f"{path}: the pair {pair.image1}, {pair.image2} is there twice")
-        seen.add(key)
-    images = sorted({image for pair in pairs for image in (pair.image1, pair.image2)})
-    names = check_colmap_images(images, image_root)
-    keypoints, indices = _keypoints(images, pairs)
-    with replacing(path) as partial, writable(path, partial) as database:
-        cameras = {image: add_camera(database, pycolmap.infer_camera_from_image(image)) for image in images}
-        ids = {image: add_image(database, names[image], cameras[image], keypoints[image]) for image in images}
-        for pair, both in zip(pairs, indices, strict=True):
-            found, own = pair.estimate, (ids[pair.image1], ids[pair.image2])
-            order = np.argsort(~found.inliers, kind="stable")
-            order = order[one_to_one_mask(*(index[order] for index in both))]
-            if len(order):
-                how: Any = {"configuration": configuration_of(found), "F": found.F, "H": found.H}
-                matches, inliers = np.column_stack(both)[order], int(found.inliers[order].sum())
-                add_pair(database, own, matches, inliers=inliers, **how)
 
 
 @contextlib.contextmanager
@@ -123,33 +61,6 @@ def quiet() -> Iterator[None]:
         pycolmap.logging.minloglevel = before
 
 
-def _absolute(image: Path) -> Path:
-    # Links stay links: an image is named as the user names it, wherever its bytes are.
-    return Path(os.path.abspath(image))  # noqa: PTH100
-
-
-def check_colmap_images(images: Sequence[Path], image_root: str | Path | None = None) -> dict[Path, str]:
-    """Return what COLMAP calls the images, by absolute path, after checking that it will see them as we do.
-
-    ImageError if an image is missing, no image, given twice, outside `image_root`, turned by its EXIF data (COLMAP,
-    which does not turn images, would see other coordinates), or has a name that is not UTF-8.
-    """
-    paths = [_absolute(image) for image in images]
-    if image_root is None:
-        image_root = os.path.commonpath([path.parent for path in paths] or [Path()])
-    root = _absolute(Path(image_root))
-    names: dict[Path, str] = {}
-    for path in paths:
-        if path in names:
-            raise ImageError(f"{path}: is given twice")
-        if not path.is_relative_to(root):
-            raise ImageError(f"{path}: lies outside the image folder {root}")
-        names[path] = colmap_name(path, root)
-        if is_turned(path):
-            raise ImageError(f"{path}: is turned by its EXIF orientation, which COLMAP ignores; save it upright first")
-    return names
-
-
 def colmap_name(path: Path, root: Path) -> str:
     """Return what COLMAP calls an image: its path relative to a folder; ImageError if a database cannot hold it."""
     name = path.relative_to(root).as_posix()
@@ -167,27 +78,6 @@ def is_turned(path: Path) -> bool:
     content = path.read_bytes()
     tagged = content[:2] in (b"II", b"MM") or any(tag in content for tag in _EXIF)  # the first are of TIFF
     return tagged and not np.array_equal(stored, read_image(path, cv2.IMREAD_REDUCED_GRAYSCALE_8))
-
-
-def _keypoints(
-    images: Sequence[Path], pairs: Sequence[ColmapPair]
-) -> tuple[dict[Path, FloatArray], list[tuple[IntArray, IntArray]]]:
-    """Return each image's distinct locations, and for each pair the two indices of every match into them."""
-    sides = [
-        (image, points.astype(np.float32))
-        for pair in pairs
-        for image, points in ((pair.image1, pair.estimate.x1), (pair.image2, pair.estimate.x2))
-    ]
-    keypoints: dict[Path, FloatArray] = {}
-    parts: list[IntArray] = [np.empty(0, np.int64)] * len(sides)
-    for image in images:
-        mine = [i for i, (other, _) in enumerate(sides) if other == image]
-        locations, inverse = np.unique(np.concatenate([sides[i][1] for i in mine]), axis=0, return_inverse=True)
-        keypoints[image] = locations.astype(np.float64)
-        ends = np.cumsum([len(sides[i][1]) for i in mine])[:-1]
-        for i, part in zip(mine, np.split(inverse.reshape(-1), ends), strict=True):
-            parts[i] = part.astype(np.int64)
-    return keypoints, list(zip(parts[::2], parts[1::2], strict=True))
 
 
 def add_camera(database: Any, camera: Any) -> int:

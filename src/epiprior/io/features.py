@@ -46,7 +46,7 @@ def read_colmap_features(database: str | Path, image_name: str, *, roots: int = 
     Raises
     ------
     FeatureError : If pycolmap is not installed, the file is missing, no COLMAP database or not writable, the image is
-        not in it, or its features are missing, are locations only (as `write_colmap_database` writes them), or are not
+        not in it, or its features are missing, are locations only (as in databases of ``epiprior colmap``), or are not
         described by SIFT; the message names the file.
     """
     database = Path(database)
