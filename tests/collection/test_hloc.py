@@ -58,6 +58,10 @@ def test_matches_are_read_as_by_hloc(tmp_path, feats, monkeypatch, with_photogra
             assert len(whole) == len(all_scores) == len(file[f"{pair.image1}/keypoints"])
     assert write_hloc_matches(tmp_path / "none.h5", judge_pairs(found, 1.1)) == 0
     assert not len(read_as_hloc_does(tmp_path / "none.h5", "a.png", "sub/b.png")[0])
+    read = type(found).read
+    monkeypatch.setattr(type(found), "read", lambda *pair: replace(read(*pair), geometry="WATERMARK"))
+    assert write_hloc_matches(tmp_path / "marked.h5", judge_pairs(found, 0.5)) == 0
+    assert not len(read_as_hloc_does(tmp_path / "marked.h5", "a.png", "sub/b.png")[0])
 
 
 def test_files_that_cannot_be(tmp_path, feats):

@@ -47,7 +47,7 @@ def write_hloc_matches(path: Path, judged: JudgedPairs) -> int:
 
     The group ``NAME1/NAME2``, each with ``-`` for ``/``, holds ``matches0`` (N1,), the row of image 2 for each keypoint
     of image 1 or -1, and ``matching_scores0`` (N1,), the confidence of the pair for matched ones. Every pair has a
-    group; where it is not relied on nothing is matched.
+    group; where it is not relied on nothing is matched, nor are watermarks, which this file cannot tell from a scene.
     """
     import h5py
 
@@ -60,7 +60,7 @@ def write_hloc_matches(path: Path, judged: JudgedPairs) -> int:
             for (a, b), (pair, why_not) in zip(matched.pairs, judged, strict=True):
                 kind = np.int16 if counts[b] <= _MOST_SHORT else np.int32
                 matches, scores = np.full(counts[a], -1, kind), np.zeros(counts[a], np.float16)
-                if not why_not:
+                if not why_not and pair.geometry != "WATERMARK":
                     matches[pair.matches[:, 0]], scores[pair.matches[:, 0]] = pair.matches[:, 1], pair.confidence
                     found += 1
                 group = file.create_group("/".join(name.replace("/", "-") for name in (pair.image1, pair.image2)))
